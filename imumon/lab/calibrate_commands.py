@@ -25,7 +25,7 @@ from imumon.cli.common import (
 from imumon.cli.progress import announce, reading_bar, size_of
 from imumon.files import check_outputs, write_text
 
-from .calibration import SHOWN
+from .calibration import DISPLAY_UNITS
 
 if TYPE_CHECKING:
     from .calibration.calibration import Calibration, ChannelFit
@@ -154,7 +154,7 @@ def _show(result: "Calibration") -> None:
     show("rms error at temperature levels left out; * is chosen")
     show(f"{'':14}" + "".join(f"{head:>9}" for head in heads))
     for channel, fit in result.fits.items():
-        unit, factor = SHOWN[result.model.channels[channel].unit]
+        unit, factor = DISPLAY_UNITS[result.model.channels[channel].unit]
         cells = []
         for name in names:
             value = fit.choice.held_out_rms.get(name)
@@ -183,7 +183,7 @@ def _per_channel(result: "Calibration", of: "Callable[[ChannelFit], float | None
     """Return a number of each channel, those of one unit together."""
     parts: dict[str, list[str]] = {}
     for name, fit in result.fits.items():
-        unit, factor = SHOWN[result.model.channels[name].unit]
+        unit, factor = DISPLAY_UNITS[result.model.channels[name].unit]
         value = of(fit)
         parts.setdefault(unit, []).append("-" if value is None else f"{value * factor:.3g}")
     return "; ".join(f"{' '.join(values)} {unit}" for unit, values in parts.items())

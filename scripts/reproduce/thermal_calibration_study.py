@@ -14,8 +14,8 @@ from study import Cells, Options, Study, Table, matrix, rms
 from imumon.blocks import BoolArray, FloatArray
 from imumon.geodesy import DEG_PER_H
 from imumon.lab.calibration.calibration import calibrate, knots_of
-from imumon.lab.calibration.cells import CellMeans, Record, channel_of, group, read_session, record_of
-from imumon.lab.calibration.selection import choose, held_out, slow_variance
+from imumon.lab.calibration.cells import CellMeans, Record, channel_of, find_rest, read_session, record_of
+from imumon.lab.calibration.selection import choose, held_out, reweighted
 from imumon.models.curves.network import NetworkCurve, Scaled, fit_network, mean_square, starts, train
 from imumon.models.curves.points import Points
 from imumon.models.curves.polynomial import fit_polynomial
@@ -77,13 +77,12 @@ def simulated_soak(seed: int) -> Soak:
     scenario = load_scenario(name)
     unit = SimulatedUnit(scenario, seed)
     blocks = (unit.run(AT_ONCE)[0] for _ in range(scenario.samples // AT_ONCE))
-    record = record_of(blocks, name, "0" * 64, axes=scenario.axes)
-    cells = group([record], None, None)
-    centers = cells.levels
-    channels = [channel_of([record], cells, name) for name in GYRO]
+    record = record_of(blocks, name, "0" * 64)
+    at_rest = find_rest([record], None, None)
+    channels = [channel_of(at_rest, name) for name in GYRO]
     earth = matrix(SimulatedUnit(scenario, seed).run(1)[1], "rate")
     bias, slope = crs05_curves(INSIDE) + earth, crs05_slopes(INSIDE)
-    return Soak(record, bias, slope, centers, [channel for channel in channels if channel is not None])
+    return Soak(record, bias, slope, at_rest.levels, [channel for channel in channels if channel is not None])
 
 
 def during(record: Record, first: float, last: float) -> Record:
@@ -167,7 +166,7 @@ def slope_methods(soak: Soak, axis: int) -> dict[str, Function]:
     channel, all_points = soak.channels[axis], soak.halfminutes(axis)
     means = level_means(soak, axis)
     knots = knots_of(channel, soak.centers)
-    points = channel.weighted(slow_variance(channel, knots))
+    points = reweighted(channel, knots)
     return {
         "derivative of the published b(T) network": published(all_points, 2, 1)[0].slope,
         "network on differences of levels": published(level_differences(soak, axis), 2, 1)[0].value,
@@ -209,7 +208,7 @@ def outside(soak: Soak) -> Table:
         low, high = soak.centers[1] - DWELLING_DEGC, soak.centers[-2] + DWELLING_DEGC
         inner = channel.only((channel.temperature > low) & (channel.temperature < high))
         knots = knots_of(inner, soak.centers[1:-1])
-        curve = fit_spline(inner.weighted(), knots)
+        curve = fit_spline(inner, knots)
         for end, sign in ((knots[0], -1.0), (knots[-1], 1.0)):
             truth = np.interp(end + sign * DISTANCES_DEGC, INSIDE, soak.bias[:, axis])
             value, slope = float(curve.value(end)), float(curve.slope(end))
@@ -230,14 +229,13 @@ def chamber(record: Record, share: float) -> Table:
     """Errors of curves fitted to the first `share` of a record's time, on the rest in the trained range."""
     first, rest = during(record, 0.0, share), during(record, share, 1.0)
     model = calibrate([first])
-    groups = group([first], None, None)
-    centers = groups.levels
+    at_rest = find_rest([first], None, None)
     rows = []
     for axis, name in zip(AXES, GYRO, strict=True):
-        channel = channel_of([first], groups, name)
+        channel = channel_of(at_rest, name)
         assert channel is not None
-        knots = knots_of(channel, centers)
-        points = channel.weighted(slow_variance(channel, knots))
+        knots = knots_of(channel, at_rest.levels)
+        points = reweighted(channel, knots)
         curves: dict[str, Curve] = {
             "line": fit_polynomial(points, 1),
             "cubic": fit_polynomial(points, 3),
@@ -247,7 +245,8 @@ def chamber(record: Record, share: float) -> Table:
         found = model.model.channels[name]
         t, value = rest.means.of(found.temperature_column)[rest.rest], rest.means.of(name)[rest.rest]
         inside = found.inside(t)
-        constant = float(np.average(channel.value, weights=np.bincount(groups.cell_of_block, groups.seconds)))
+        cell_s = np.bincount(at_rest.cell_of_block, at_rest.seconds)
+        constant = float(np.average(channel.value, weights=cell_s))
         errors = {"constant": rms(value[inside] - constant)}
         errors |= {key: rms(value[inside] - curve.value(t[inside])) for key, curve in curves.items()}
         errors["chosen"] = rms(value[inside] - found.value(t[inside]))

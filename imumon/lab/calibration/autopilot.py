@@ -1,8 +1,9 @@
 """A bias model as the temperature calibration of an autopilot: its cubic, in its parameters.
 
-Both take c0 + c1 d + c2 d² + c3 d³ of d = T - T_ref off a rate or a force, in the axes of the board,
-forward-right-down, and hold the correction beyond the range.  Read in one version of each source, of
-ArduPilot that with a fixed reference (a development version before 4.1 took the middle of the range):
+Both take c0 + c1 d + c2 d² + c3 d³ of d = T - T_ref, °C, off a rate in rad/s or a specific force in m/s², in
+the axes of the board, forward-right-down, and hold the correction beyond the range.  Read in one version of
+each source, of ArduPilot that with a fixed reference (a development version before 4.1 took the middle of the
+range):
 
 - ArduPilot, `AP_InertialSensor_tempcal.cpp`: INS_TCALn_, T_ref is 35 °C, coefficients times 1e6, no
   constant: that is left to its own offsets, which remember the temperature that they are of.
@@ -21,8 +22,8 @@ from imumon.models.model import BiasModel
 Autopilot = Literal["ardupilot", "px4"]
 SUFFIX: dict[str, str] = {"ardupilot": ".param", "px4": ".params"}
 LEAST_EXPORT_SPAN_DEGC = 10.0  # ArduPilot takes no calibration over less
-ARDUPILOT = {"gyro": "GYR", "accel": "ACC"}  # sensors in the names of its parameters
-PX4 = {"gyro": "G", "accel": "A"}
+ARDUPILOT = {"gyro": "GYR", "accel": "ACC"}  # how its parameters call the sensors
+PX4 = {"gyro": "TC_G", "accel": "TC_A"}
 
 
 def parameters(
@@ -62,21 +63,31 @@ def parameters(
     }
     if autopilot == "px4" and ids:  # which `check_ids` has made sure of
         return _px4(cubics, imu, ids, {"TMIN": low, "TMAX": high, "TREF": reference}), notes
+    return _ardupilot(cubics, imu, low, high), notes
+
+
+def _ardupilot(cubics: dict[str, list[list[float]]], imu: int, low: float, high: float) -> str:
     rows = {"ENABLE": 1.0, "TMIN": low, "TMAX": high}
-    for kind, axes in cubics.items():
-        for axis, cubic in zip("XYZ", axes, strict=True):
-            rows |= {f"{ARDUPILOT[kind]}{k}_{axis}": cubic[k] * 1e6 for k in (1, 2, 3)}
-    # ArduPilot counts from 1.
-    return "".join(f"INS_TCAL{imu + 1}_{name},{value:.9g}\n" for name, value in rows.items()), notes
+    rows |= {
+        f"{ARDUPILOT[kind]}{k}_{axis}": cubic[k] * 1e6
+        for kind, axes in cubics.items()
+        for axis, cubic in zip("XYZ", axes, strict=True)
+        for k in (1, 2, 3)
+    }
+    # It counts from 1.
+    return "".join(f"INS_TCAL{imu + 1}_{name},{value:.9g}\n" for name, value in rows.items())
 
 
 def _px4(cubics: dict[str, list[list[float]]], imu: int, ids: tuple[int, int], degc: dict[str, float]) -> str:
     rows: dict[str, float] = {}
-    gyro_id, accel_id = ids
+    identifier = dict(zip(PX4, ids, strict=True))
     for kind, axes in cubics.items():
-        sensor = f"TC_{PX4[kind]}"
-        rows |= {f"{sensor}_ENABLE": 1, f"{sensor}{imu}_ID": accel_id if kind == "accel" else gyro_id}
-        rows |= {f"{sensor}{imu}_{name}": value for name, value in degc.items()}
+        sensor = PX4[kind]
+        rows |= {
+            f"{sensor}_ENABLE": 1,
+            f"{sensor}{imu}_ID": identifier[kind],
+            **{f"{sensor}{imu}_{name}": value for name, value in degc.items()},
+        }
         for axis, cubic in enumerate(axes):
             coefficients = [0.0, *cubic[1:]] if kind == "accel" else cubic
             rows |= {f"{sensor}{imu}_X{power}_{axis}": value for power, value in enumerate(coefficients)}

@@ -7,32 +7,33 @@ import numpy as np
 from imumon.blocks import FloatArray
 from imumon.geodesy import MICRO_G, STANDARD_GRAVITY
 
+COS_OTHER_POSE = np.cos(np.radians(20.0))  # directions that differ by more are two poses.  Assumed.
+
 
 class TriadErrors(NamedTuple):
-    """Errors of an accelerometer triad by |f| = g, at the middle of the temperatures; (3,) each.
+    """Errors of an accelerometer triad by |f| = g, at the middle of the temperatures; arrays are (3,).
 
-    `bias` is in m/s², `scale` the excess of the scale factors over 1, whose mean includes the error of the
-    assumed gravity.  `_per_half` is the linear change from the middle to the warm end, over half the range;
-    the bias may follow higher powers as well.  A standard deviation is infinite where the poses do not
-    determine it.  `misalignment` is, for yz, xz and xy, half of what the angle between the two axes lacks to
-    90°, rad; NaN with too few poses.  `before` and `after`: rms of |f| - g, m/s², with and without these.
+    They are what a reading has beyond the specific force.  `_per_half` is the linear change from the middle
+    to the warm end, over half the range; the bias may follow higher powers as well.  A standard deviation is
+    infinite where the poses do not determine the error.
     """
 
-    bias: FloatArray
+    bias: FloatArray  # m/s²
     bias_per_half: FloatArray
-    scale: FloatArray
+    scale: FloatArray  # factor less 1; the mean of the three includes the error of the assumed gravity
     scale_per_half: FloatArray
-    misalignment: FloatArray
+    misalignment: FloatArray  # of yz, xz, xy: half of what the angle lacks to 90°, rad; NaN in few poses
     bias_sd: FloatArray
     scale_sd: FloatArray
-    before: float
-    after: float
+    before: float  # rms of |f| - g, m/s², as read
+    after: float  # the same with these errors taken off
 
     @classmethod
     def from_poses(cls, force: FloatArray, warmth: FloatArray) -> tuple[int, Self] | None:
         """Return the number of poses and the errors by |f| = g in them; None with fewer than six poses.
 
         To first order |f| - g = u·b + g u·S u, with u the direction, b the bias, S scale and misalignment.
+        Only the symmetric part of S has an effect, so misalignment is one number for each two axes.
 
         `force` (n, 3): means of the specific force at rest, m/s².
         `warmth` (n, d): powers 1 to d of the scaled temperature, -1 to 1, which the bias may follow.
@@ -46,12 +47,13 @@ class TriadErrors(NamedTuple):
         x = np.zeros(design.shape[2])  # no errors at first
         for _ in range(3):  # Gauss-Newton steps (assumed): the direction depends on the errors as well
             true = force - design @ x
-            size = np.linalg.norm(true, axis=1, keepdims=True)
-            direction = true / size
+            length = np.linalg.norm(true, axis=1, keepdims=True)
+            direction = true / length
             names, design = _design(direction, warmth, with_misalignment)
+            # What each error adds to |f|, uᵀ D, and what |f| of the readings has beyond g.
             columns = np.einsum("ij,ijk->ik", direction, design)
-            values = size[:, 0] - STANDARD_GRAVITY + columns @ x
-            x, x_sd = _least_squares(columns, values)
+            excess = length[:, 0] - STANDARD_GRAVITY + columns @ x
+            x, x_sd = _least_squares(columns, excess)
         error, sd = (dict(zip(names, part.reshape(-1, 3), strict=True)) for part in (x, x_sd))
         return poses, cls(
             bias=error["bias"],
@@ -62,22 +64,18 @@ class TriadErrors(NamedTuple):
             bias_sd=sd["bias"],
             scale_sd=sd["scale"],
             before=_rms(np.linalg.norm(force, axis=1) - STANDARD_GRAVITY),
-            after=_rms(values - columns @ x),
+            after=_rms(excess - columns @ x),
         )
 
     def described(self, poses: int) -> str:
         """Return bias and scale with their standard deviations as a sentence."""
-        bias, bias_sd = (_listed(part / MICRO_G) for part in (self.bias, self.bias_sd))
-        scale, scale_sd = (_listed(part * 1e6) for part in (self.scale, self.scale_sd))
+        millionths = self.bias / MICRO_G, self.bias_sd / MICRO_G, self.scale * 1e6, self.scale_sd * 1e6
+        bias, bias_sd, scale, scale_sd = (" / ".join(f"{value:.0f}" for value in part) for part in millionths)
         return (
             f"{poses} poses: by |f| = g the accelerometers have biases of {bias} µg (sd {bias_sd}) and scale"
             f" errors of {scale} ppm (sd {scale_sd}) on x / y / z; |f| - g is"
             f" {self.before / MICRO_G:.0f} µg rms before and {self.after / MICRO_G:.0f} after"
         )
-
-
-def _listed(values: FloatArray) -> str:
-    return " / ".join(f"{value:.0f}" for value in values)
 
 
 def _rms(values: FloatArray) -> float:
@@ -94,14 +92,16 @@ def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray,
     norm = np.where(norm > 0, norm, 1.0)
     scaled = columns / norm
     inverse = np.linalg.pinv(scaled, rcond=1e-6)  # below that share of the largest it is rounding.  Assumed.
-    determined = np.diag(inverse @ scaled)  # 1 where the columns determine a coefficient, else less
-    residual = values - scaled @ (inverse @ values)
-    freedom = max(len(values) - round(determined.sum()), 1)
+    coefficients = inverse @ values
+    residual = values - scaled @ coefficients
+    # Diagonal of the resolution matrix: 1 where the columns determine a coefficient, else less.
+    resolution = np.diag(inverse @ scaled)
+    freedom = max(len(values) - round(resolution.sum()), 1)
     # The sum is the diagonal of (CᵀC)⁻¹, with C the scaled columns.  What differs from 1 by 1e-3 is assumed.
-    variance = np.where(determined > 1.0 - 1e-3, (inverse**2).sum(axis=1), np.inf)
+    variance = np.where(resolution > 1.0 - 1e-3, (inverse**2).sum(axis=1), np.inf)
     # Ten means count as one, for noise that is slow and for what a model lacks.  Assumed.
     sd = np.sqrt(variance * (residual @ residual) / freedom * 10.0)
-    return inverse @ values / norm, sd / norm
+    return coefficients / norm, sd / norm
 
 
 def _design(up: FloatArray, warmth: FloatArray, with_misalignment: bool) -> tuple[list[str], FloatArray]:
@@ -112,9 +112,10 @@ def _design(up: FloatArray, warmth: FloatArray, with_misalignment: bool) -> tupl
     for pair, (i, j) in enumerate(((1, 2), (0, 2), (0, 1))):
         misalignment[:, i, pair] = STANDARD_GRAVITY * up[:, j]
         misalignment[:, j, pair] = STANDARD_GRAVITY * up[:, i]
+    powers = [power[:, None, None] for power in warmth.T]
     # Without any power (d = 0) nothing is added, and the slopes over temperature are not determined.
-    first, *higher = [power[:, None, None] for power in warmth.T] or [np.zeros((len(up), 1, 1))]
-    errors = {f"bias of power {k}": power * bias for k, power in enumerate(higher, 2)}
+    first = powers[0] if powers else np.zeros((len(up), 1, 1))
+    errors = {f"bias of power {k}": power * bias for k, power in enumerate(powers[1:], 2)}
     if with_misalignment:
         errors["misalignment"] = misalignment
     errors |= {"bias_per_half": first * bias, "scale_per_half": first * scale, "bias": bias, "scale": scale}
@@ -122,10 +123,9 @@ def _design(up: FloatArray, warmth: FloatArray, with_misalignment: bool) -> tupl
 
 
 def _distinct(up: FloatArray) -> int:
-    """Return how many of the directions, (n, 3), differ from one another by 20° or more (assumed)."""
+    """Return how many of the directions, (n, 3), are in another pose than those counted before."""
     distinct: list[FloatArray] = []
-    limit = np.cos(np.radians(20.0))
     for direction in up:
-        if all(direction @ other < limit for other in distinct):
+        if all(direction @ other < COS_OTHER_POSE for other in distinct):
             distinct.append(direction)
     return len(distinct)

@@ -32,6 +32,7 @@ from imumon.errors import ImumonError, bad_data
 from imumon.filters.slots import SlotGatherer
 from imumon.filters.turns import PAUSE_S
 from imumon.models.model import MagnetometerModel
+from imumon.recordings.map import triple
 
 # Directions are counted in so many cells of equal area, each about 30° wide.  Their middles, (CELLS, 3), are
 # on a spiral: equal steps of z are equal areas, and the longitude goes on by 2 pi times the golden ratio.
@@ -43,24 +44,23 @@ _RADIUS = np.sqrt(1.0 - _Z**2)
 MIDDLES = np.column_stack([_RADIUS * np.cos(_LONGITUDE), _RADIUS * np.sin(_LONGITUDE), _Z])
 LEAST_COVERAGE = 0.5  # of the cells.  With points on one side an ellipsoid's far side is extrapolated.
 LEAST_POINTS = 100  # for nine numbers and their residual.  Assumed.
-# Relative to the field.  1 % makes an error of 0.6° of the heading where the field is level, of 1.5° in
-# Europe; what scatters by more than 10 % is another field at every place.
-MOST_SD, MOST_RESIDUAL = 0.01, 0.1
+MOST_SD = 0.01  # of the field: an error of the heading of 0.6° where the field is level, of 1.5° in Europe
+MOST_RESIDUAL = 0.1  # of the field: what scatters by more is another field at every place
+MOST_CHI_SQUARE = 27.0  # of nine numbers that only scatter it is 9 on average, and more once in 700 times
 
-# The rotations that turn axes into axes, the identity first, (24, 3, 3); without negative zeros.
-WAYS: FloatArray = np.array(
-    sorted(Rotation.create_group("O").as_matrix().round() + 0.0, key=lambda way: -np.trace(way))
+# An axis map is a rotation that turns axes into axes.  The identity is first, (24, 3, 3); no zero is -0.
+AXIS_MAPS: FloatArray = np.array(
+    sorted(Rotation.create_group("O").as_matrix().round() + 0.0, key=lambda axis_map: -np.trace(axis_map))
 )
 LEAST_SLOTS = 20  # for seven numbers and their residual: ten seconds of turns.  Assumed.
 
 
 class MagnetometerFit(NamedTuple):
-    """A calibration, and what it was made of: the readings as sent that counted, (n, 3), and the scatter of
-    the strength as sent, in their unit."""
+    """A calibration, and what it was made of, in the unit of the readings."""
 
     model: MagnetometerModel
-    readings: FloatArray
-    residual_before: float
+    readings: FloatArray  # those that counted, as sent, (n, 3)
+    residual_before: float  # scatter of their strength
 
 
 def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> MagnetometerFit:
@@ -73,9 +73,8 @@ def fit_magnetometer(blocks: Iterable[SampleBlock], unit: str, source: str) -> M
     """
     parts = [np.empty((0, 6))]  # for samples without any magnetometer
     for block in blocks:
-        if (mag := block.mag) is not None:
-            accel = np.full_like(mag, np.nan) if block.accel is None else block.accel
-            parts.append(np.hstack([mag, accel])[np.isfinite(mag).all(1)])
+        rows = block.stacked((*triple("mag"), *triple("accel")))  # gravity is for the advice of `_error`
+        parts.append(rows[np.isfinite(rows[:, :3]).all(axis=1)])
     mag, accel = np.hsplit(np.concatenate(parts), 2)
     if not len(mag):
         raise bad_data(f"{source}: there is no magnetometer", "needs mag_x, mag_y, mag_z")
@@ -134,6 +133,7 @@ def _spread(field: FloatArray) -> list[int]:
 
 
 def _symmetric(triangle: FloatArray) -> FloatArray:
+    # Of upper triangles row by row, (..., 6), the symmetric matrices, (..., 3, 3).
     return triangle[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
 
@@ -181,21 +181,24 @@ def _covariance_of_change(jacobian: FloatArray, residual: FloatArray, scatter: f
 
     It is the square of half their difference, times the share of its chi-square beyond what scatter explains.
     """
-    difference, covariance = np.zeros(9), np.zeros((9, 9))
-    for sign, rows in zip((1.0, -1.0), np.array_split(np.arange(len(residual)), 2), strict=True):
-        inverse = np.linalg.pinv(jacobian[rows].T @ jacobian[rows], hermitian=True)
-        difference += sign * (inverse @ jacobian[rows].T @ residual[rows])
-        covariance += inverse * scatter
+    halves = np.array_split(np.arange(len(residual)), 2)
+    inverses = [np.linalg.pinv(jacobian[rows].T @ jacobian[rows], hermitian=True) for rows in halves]
+    # A Gauss-Newton step by each half alone, from the solution by both; its sign is lost in the square.
+    first, second = (
+        inverse @ jacobian[rows].T @ residual[rows] for inverse, rows in zip(inverses, halves, strict=True)
+    )
+    difference = first - second
+    covariance = scatter * inverses[0] + scatter * inverses[1]
     chi_square = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
-    # Of nine numbers that only scatter chi-square is 9 on average, and above 27 once in 700 times.
-    share_changed = 1.0 - 27.0 / chi_square if chi_square > 27.0 else 0.0
-    return share_changed * np.outer(difference, difference) / 4.0
+    if chi_square <= MOST_CHI_SQUARE:
+        return np.zeros((9, 9))
+    return (1.0 - MOST_CHI_SQUARE / chi_square) * np.outer(difference, difference) / 4.0
 
 
 def slower_than_white(residual: FloatArray) -> float:
-    """Return by how much the variance of means of neighbours exceeds that of white noise, at least 1.
+    """Return the factor by which the variance of means of neighbours exceeds that of white noise.
 
-    The largest over lengths of means from 1 to a sixteenth of all: of those there are enough.
+    It is the largest over means of 1, 2, 4 and so on as long as there are 16 (assumed): at least 1.
     """
     n, length, most = len(residual), 1, 1.0
     variance = residual @ residual / n
@@ -207,17 +210,16 @@ def slower_than_white(residual: FloatArray) -> float:
 
 
 class MagnetometerAxes(NamedTuple):
-    """The rotation from the magnetometer's axes to the gyros', (3, 3), the standard deviation of its angle,
-    rad, and whether the field went as the gyros turned, in these axes."""
+    """Where the magnetometer's axes are against the gyros'."""
 
-    rotation: FloatArray
-    sd: float
-    follows: bool
+    rotation: FloatArray  # P, from its axes to theirs, (3, 3)
+    sd: float  # standard deviation of its angle, rad
+    follows: bool  # whether the field went as the gyros turned, in these axes
 
     @property
-    def way(self) -> int:
-        """Index of the nearest of `WAYS`."""
-        return int(np.einsum("kij,ij->k", WAYS, self.rotation).argmax())
+    def nearest(self) -> int:
+        """Index of the nearest of `AXIS_MAPS`."""
+        return int(np.einsum("kij,ij->k", AXIS_MAPS, self.rotation).argmax())
 
     @property
     def is_significant(self) -> bool:
@@ -231,17 +233,14 @@ class MagnetometerAxes(NamedTuple):
 
 
 def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> MagnetometerAxes | None:
-    """Return the axes of a magnetometer that is calibrated; None where the gyros do not determine them.
-
-    Slots count whose turn is known from the end of the one before, with a variance by coning, fast motion and
-    missing samples below 0.01 rad², the square of 6°.
-    """
+    """Return the axes of a magnetometer that is calibrated; None where the gyros do not determine them."""
+    # The last slot is not finished: there are enough.
     # In half a second, here in ns, a hand turns a unit by tenths of a radian, and by less than half a circle.
     gatherer = SlotGatherer(6, 500_000_000, turns=True)
     slots = [
-        gatherer.process(block["device_time_ns"], block["segment"], np.hstack([gyro, mag]))
+        gatherer.process(block["device_time_ns"], block["segment"], np.hstack([block.gyro, block.mag]))
         for block in blocks
-        if (gyro := block.gyro) is not None and (mag := block.mag) is not None and "device_time_ns" in block
+        if block.gyro is not None and block.mag is not None and "device_time_ns" in block
     ]
     if not slots:
         return None
@@ -253,17 +252,23 @@ def axes_of(blocks: Iterable[SampleBlock], model: MagnetometerModel) -> Magnetom
     end_ns = np.concatenate([part.end_ns for part in slots])
     begins = np.concatenate([part.begins for part in slots])
     seconds = np.array([turn.seconds for turn in turns])
+    # Coning and fast motion are standard deviations, rad; what samples are missing is a variance.
     variance = np.array([turn.coning @ turn.coning + turn.fast**2 + turn.missed for turn in turns])
     is_continuous = ~begins[1:] & (np.abs(1e-9 * np.diff(end_ns) - seconds) < PAUSE_S)
-    is_known = is_continuous & (variance < 0.01) & np.isfinite(last[1:] + last[:-1]).all(1)
-    known = np.flatnonzero(is_known)
+    is_complete = np.isfinite(last).all(1)
+    # Turns that are known to 6°, 0.01 rad², between slots that have gyros and field.  Assumed.
+    known = np.flatnonzero(is_complete[1:] & is_complete[:-1] & is_continuous & (variance < 0.01))
     if len(known) < LEAST_SLOTS:
         return None
     both = np.column_stack([known, known + 1])  # slots before and after the turn
     field, rate = model.corrected(last[:, 3:]) / model.field, last[:, :3]
-    rotation = np.array([turns[k].rotation for k in known])
-    by_bias = np.array([turns[k].by_bias for k in known])
-    return fitted_axes(field[both], rate[both], rotation, by_bias, model.residual_sd / model.field)
+    return fitted_axes(
+        field[both],
+        rate[both],
+        rotation=np.array([turns[k].rotation for k in known]),
+        by_bias=np.array([turns[k].by_bias for k in known]),
+        noise=model.residual_sd / model.field,
+    )
 
 
 def fitted_axes(
@@ -277,33 +282,31 @@ def fitted_axes(
     `noise`: scatter of the field over its strength.
     """
 
-    def residual(x: FloatArray, way: FloatArray) -> FloatArray:
-        """Return the residual of the fields, (3n,), by rotation from `way`, bias and lateness, (7,).
-
-        A field that is late by tau is off by tau times its rate, -rate x field.
-        """
+    def residual(x: FloatArray, axis_map: FloatArray) -> FloatArray:
+        # Of the fields, (3n,), by rotation from `axis_map`, bias and lateness, (7,).
+        # A field that is late by tau is off by tau times its rate, -rate x field.
         bias, late_s = x[3:6], x[6]
-        in_body = field @ (Rotation.from_rotvec(x[:3]).as_matrix() @ way).T
+        in_body = field @ (Rotation.from_rotvec(x[:3]).as_matrix() @ axis_map).T
         on_time = in_body - late_s * np.cross(rate - bias, in_body)
         before, after = on_time.swapaxes(0, 1)
         turned = np.einsum("nij,nj->ni", rotation, after)
         return np.asarray(before - Rotation.from_rotvec(-by_bias @ bias).apply(turned)).reshape(-1)
 
-    way = min(WAYS, key=lambda one: (residual(np.zeros(7), one) ** 2).sum())
-    solved = least_squares(residual, np.zeros(7), args=(way,), x_scale="jac", method="lm")
+    axis_map = min(AXIS_MAPS, key=lambda one: (residual(np.zeros(7), one) ** 2).sum())
+    solved = least_squares(residual, np.zeros(7), args=(axis_map,), x_scale="jac", method="lm")
     error, jacobian = solved.fun, solved.jac
     variance = error @ error / (len(error) - 7)
     change = ((field[:, 1] - field[:, 0]) ** 2).sum() / len(error)
-    # Where the residual is more than a quarter of how the field changed, and than three times that of the fit
-    # of its strength, it has not changed as the gyros turned, in any axes.  Assumed.
+    # The field followed where less than half of its change is left (rms), or less than three times the noise.
+    # Assumed.
     follows = variance < 0.25 * change or variance < (3.0 * noise) ** 2
     # A field that differs from place to place, and errors that go with the turns, are not white.
     slower = max(slower_than_white(axis) for axis in error.reshape(-1, 3).T)
     covariance = variance * slower * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     sd = np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])
-    to_gyros = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ way
-    # Of gyros without calibration each element of scale and misalignment is 0.01, as in `AttitudeParameters`:
-    # what is fitted to them is known to no better, rad.
+    to_gyros = Rotation.from_rotvec(solved.x[:3]).as_matrix() @ axis_map
+    # Nor is the angle known better than the gyros' scale and misalignment, which are 0.01 (rad) without
+    # calibration, as in `AttitudeParameters`.
     return MagnetometerAxes(to_gyros, np.hypot(sd, 0.01), follows)
 
 
@@ -320,17 +323,16 @@ def doubts(model: MagnetometerModel, axes: MagnetometerAxes | None, source: str)
             " right? 1 gauss is 100 uT"
         )
     if axes and not axes.follows:
-        return [
-            *warnings,
+        warnings.append(
             "the field did not go as the gyros turned, in any axes, which are not checked: are unit and axes"
-            " of the gyros right?",
-        ]
+            " of the gyros right?"
+        )
     if not axes or not axes.is_significant:
         return warnings
-    if axes.way != 0:  # the first of `WAYS` is the identity
+    if axes.nearest != 0:  # the first of `AXIS_MAPS` is the identity
         raise bad_data(
             f"{source}: the magnetometer has not the gyros' axes: their x, y, z are its"
-            f" {way_as_text(WAYS[axes.way])}",
+            f" {axis_map_as_text(AXIS_MAPS[axes.nearest])}",
             "name the columns of mag in this order in the map or device file, and reverse what has a minus "
             "(in a device file by a negative scale); turns do not show which of the two it is: north of the "
             "magnetic equator the field must point down",
@@ -344,12 +346,12 @@ def doubts(model: MagnetometerModel, axes: MagnetometerAxes | None, source: str)
     return warnings
 
 
-def way_as_text(way: FloatArray) -> str:
-    """Return which axes of the magnetometer the gyros' x, y, z are by one of `WAYS`, and by its reverse."""
-    axes = np.abs(way).argmax(axis=1)
-    signs = way.sum(axis=1)  # a row has one element, 1 or -1, and zeros
-    most_plus_first = sorted((signs, -signs), key=lambda of: -of.sum())
-    return " or ".join(
-        ", ".join(("+" if sign > 0.0 else "-") + "xyz"[axis] for sign, axis in zip(of, axes, strict=True))
-        for of in most_plus_first
-    )
+def axis_map_as_text(axis_map: FloatArray) -> str:
+    """Return which axes of the magnetometer the gyros' x, y, z are, by an axis map and by its reverse."""
+    axes = np.abs(axis_map).argmax(axis=1)
+    signs = axis_map.sum(axis=1)  # a row has one element, 1 or -1, and zeros
+    names = [
+        ", ".join(("+" if sign > 0.0 else "-") + "xyz"[axis] for sign, axis in zip(row, axes, strict=True))
+        for row in (signs, -signs)
+    ]
+    return " or ".join(names if signs.sum() > 0.0 else reversed(names))  # first that of more plus

@@ -10,18 +10,18 @@ from imumon.files import write_png
 from imumon.harmless import for_plot
 from imumon.recordings.reduced import ACCEL
 
-from . import SHOWN
+from . import DISPLAY_UNITS
 from .calibration import Calibration
 from .magnetometer import MagnetometerFit
 
-CHANNELS_PER_ROW = 3  # those of one sensor
+CHANNELS_PER_ROW = 3  # x, y and z of one sensor, where each has a curve
 
 
 def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
     """Draw each channel to a PNG: above curve and points, below the residuals.
 
-    A residual has a bar of one standard deviation, the white noise of its samples; the band is the model's
-    `residual_sd`, of the bias about the curve without that noise: far narrower where the scatter is noise.
+    A residual has a bar of one standard deviation, the white noise of its samples.  The band is the model's
+    `residual_sd`, which is without that noise: where the points scatter by noise they go beyond it.
 
     Raises OSError when the file cannot be written; one that was there before is untouched.
     """
@@ -30,7 +30,7 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=(2, 1) * rows)
     for number, name in enumerate(result.fits):
         row, column = divmod(number, columns)
-        above, below = (figure.add_subplot(grid[2 * row + at, column]) for at in range(2))
+        above, below = (figure.add_subplot(grid[2 * row + half, column]) for half in range(2))
         _draw(above, below, name, result)
     figure.suptitle(f"{for_plot(title)}: bias over temperature", fontsize=11)
     write_png(path, figure, 110)
@@ -38,18 +38,19 @@ def write_calibration_plot(path: Path, result: Calibration, title: str) -> None:
 
 def _draw(above: Axes, below: Axes, name: str, result: Calibration) -> None:
     fit, model = result.fits[name], result.model.channels[name]
-    unit, factor = SHOWN[model.unit]
-    points, curve = fit.points, fit.choice.curve
-    at = np.linspace(points.temperature.min(), points.temperature.max(), 400)
-    # An accelerometer's constant is gravity's, so its curve is drawn minus its middle.
-    middle = curve.value(0.5 * (at[0] + at[-1])) if name in ACCEL else 0.0
-    above.plot(points.temperature, factor * (points.value - middle), ".", ms=2, color="0.6", label="at rest")
-    above.plot(at, factor * (curve.value(at) - middle), color="#d03c3c", lw=1.2, label=fit.choice.name)
+    unit, factor = DISPLAY_UNITS[model.unit]
+    points = fit.points
+    left = points.value - fit.choice.curve.value(points.temperature)
+    degc = np.linspace(points.temperature.min(), points.temperature.max(), 400)
+    # About the curve of the model: of an accelerometer that is without the constant, which is gravity's.
+    bias = left + model.curve.value(points.temperature)
+    above.plot(points.temperature, factor * bias, ".", ms=2, color="0.6", label="at rest")
+    above.plot(degc, factor * model.curve.value(degc), color="#d03c3c", lw=1.2, label=fit.choice.name)
     above.set_title(name, loc="right")
     above.set(ylabel=f"bias minus its middle [{unit}]" if name in ACCEL else f"bias [{unit}]")
     noise, sd = factor * np.sqrt(points.white), factor * model.residual_sd
     below.errorbar(
-        points.temperature, factor * (points.value - curve.value(points.temperature)), noise,
+        points.temperature, factor * left, noise,
         fmt=".", ms=3, color="#3b78d8", ecolor="#b9cdf0", elinewidth=0.7,
         label="at rest, 1σ of the noise of its samples",
     )  # fmt: skip

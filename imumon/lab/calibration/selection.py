@@ -1,6 +1,7 @@
 """Which curve: the one that errs least at temperature levels left out of its fit; and the turn-on offsets."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,32 +15,28 @@ from imumon.models.curves.polynomial import fit_polynomial
 from imumon.models.curves.spline import fit_spline, penalised_basis
 from imumon.models.model import Curve
 
-from .cells import CellMeans
+from .cells import CellMeans, weight_of
 
 MOST_ORDER = 9  # of a polynomial.  Assumed.
-MOST_NEURONS = 3  # in a layer of a network: the simulated unit of scenario `crs05-soak` needs as many
-FOLDS = 5  # every fifth of the inner levels is left out at a time
+MOST_NEURONS = 3  # in a layer of a network: a simulated unit (scenario `crs05-soak`) needs as many
+FOLDS = 5  # every fifth of the inner levels is left out at a time.  Assumed.
 Fitter = Callable[[Points], Curve]
 
 
 class Choice(NamedTuple):
-    """The curve chosen, fitted to all points, and what led to it.
-
-    In the channel's unit: `held_out_rms`, error of each candidate at levels left out; `residual_sd`, that of
-    the chosen one without what the samples' white noise explains; `fit_rms`, that of the fit to all points.
-    """
+    """The curve chosen, and what led to it; errors are in the channel's unit."""
 
     name: str
-    curve: Curve
-    held_out_rms: dict[str, float]
-    residual_sd: float
-    fit_rms: float
+    curve: Curve  # fitted to all points
+    held_out_rms: dict[str, float]  # error of each candidate at levels left out
+    residual_sd: float  # the same of the chosen one, without the white noise of the samples
+    fit_rms: float  # of `curve` at the points that it was fitted to
 
 
 def candidate_curves(points: Points, knots: FloatArray) -> dict[str, Fitter]:
     """Return what the data can support, the preferred first, by the name in reports and in the model file.
 
-    A curve has no more coefficients than levels remain when the largest fold is left out.
+    A polynomial has no more coefficients than levels remain when the largest fold is left out.
     """
     levels = len(np.unique(points.level))
     remaining = levels - int(np.ceil((levels - 2) / FOLDS))  # the two at the ends are in no fold
@@ -61,9 +58,9 @@ def choose(points: CellMeans, knots: FloatArray) -> Choice:
     # An earlier candidate is preferred whose error is at most 5 % above the least.  Assumed.
     best = next(name for name in fitters if rms[name] <= 1.05 * min(rms.values()))
     curve = fitters[best](points)
-    known = np.isfinite(residuals[best])
+    known = np.isfinite(residuals[best])  # all but the end levels
     white = np.average(points.white[known], weights=points.weight[known])
-    # The noise is an estimate as well: at least a tenth of the square is left.  Assumed.
+    # The noise is an estimate as well: a tenth of the variance stays in any case.  Assumed.
     beyond_white = max(rms[best] ** 2 - white, 0.1 * rms[best] ** 2)
     return Choice(
         name=best,
@@ -82,10 +79,11 @@ def held_out(points: Points, fitter: Fitter) -> FloatArray:
     return residual
 
 
-def slow_variance(points: CellMeans, knots: FloatArray) -> float:
-    """Return the variance that the means have about a smooth curve beyond the white noise."""
-    residual = points.value - fit_spline(points, knots).value(points.temperature)
-    return max(float(np.mean(residual**2 - points.white)), 0.0)
+def reweighted(points: CellMeans, knots: FloatArray) -> CellMeans:
+    """Return the means with weights by all their variance about a smooth curve, not the white noise alone."""
+    excess = (points.value - fit_spline(points, knots).value(points.temperature)) ** 2 - points.white
+    # The mean excess is the variance of what is slow: longer cells would not reduce it.
+    return replace(points, weight=weight_of(points.white + max(float(excess.mean()), 0.0)))
 
 
 def _rms(points: Points, residual: FloatArray) -> float:
@@ -97,6 +95,7 @@ def comparable_runs(points: CellMeans) -> IntArray:
     """Return the runs that levels in common join, directly or through others, to the one of most cells."""
     visited = np.zeros((points.run.max() + 1, points.level.max() + 1), np.int64)
     visited[points.run, points.level] = 1
+    # The product is the number of levels in common of each two runs, (runs, runs).
     _, group = connected_components(visited @ visited.T, directed=False)
     return np.flatnonzero(group == group[np.argmax(np.bincount(points.run))])
 
@@ -110,10 +109,13 @@ def turn_on_offsets(points: CellMeans, runs: IntArray, knots: FloatArray) -> Flo
         return np.zeros(1)
     # The offset of the first run is 0 for now; the others are estimated beside the curve.
     basis, penalty = penalised_basis(points, knots)
-    spline_terms = len(penalty)
+    is_of_run = points.run[:, None] == runs[1:]
     root = np.sqrt(points.weight)
-    design = np.hstack([basis, points.run[:, None] == runs[1:]]) * root[:, None]
+    design = np.hstack([basis, is_of_run]) * root[:, None]
     normal = design.T @ design
-    normal[:spline_terms, :spline_terms] += 1e-6 * penalty  # small, for where no data determines the curve
-    from_first = np.append(0.0, np.linalg.solve(normal, design.T @ (points.value * root))[spline_terms:])
-    return np.asarray(from_first - from_first.mean())
+    spline_terms = len(penalty)
+    # Small, for where no data determines the curve.  Assumed.
+    normal[:spline_terms, :spline_terms] += 1e-6 * penalty
+    solution = np.linalg.solve(normal, design.T @ (points.value * root))
+    offsets = np.append(0.0, solution[spline_terms:])
+    return np.asarray(offsets - offsets.mean())

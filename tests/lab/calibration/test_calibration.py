@@ -13,7 +13,7 @@ from imumon.geodesy import EARTH_RATE
 from imumon.intake import Intake
 from imumon.lab.calibration import selection
 from imumon.lab.calibration.calibration import Calibration, calibrate
-from imumon.lab.calibration.cells import channel_of, group, record_of
+from imumon.lab.calibration.cells import channel_of, find_rest, record_of
 from imumon.models.curves.points import folds
 from imumon.models.curves.polynomial import fit_polynomial
 from imumon.protocols.ranges import Ranges
@@ -85,9 +85,7 @@ def test_the_model_states_where_it_comes_from(soaked: Calibration) -> None:
 def test_a_split_by_sample_shows_no_error_where_levels_left_out_do() -> None:
     """Levels alone, 13 coefficients for 15 of them: between them the curve is wild, and one split sees it."""
     t = np.repeat([*np.arange(-20.53, 46.0, 5.0), 48.08], 1800)
-    records = [record(t)]
-    cells = group(records, None, None)
-    points = channel_of(records, cells, "gyro_z")
+    points = channel_of(find_rest([record(t)], None, None), "gyro_z")
     assert points is not None
     part = np.random.default_rng(0).permutation(len(points)) % 20
     curve = fit_polynomial(points.only(part < 13), 12)
@@ -128,9 +126,11 @@ def test_runs_without_a_common_temperature_get_no_offset_and_that_is_reported() 
     half = len(t) // 2
     found = calibrate([record(t[:half], "cold"), record(t[half + 500 :], "warm", seed=1)])
     assert np.isnan(found.fits["gyro_x"].offset).any()
-    assert any(
-        "have no temperature in common with the others: taken as they are" in text for text in found.warnings
-    )
+    apart = found.model.trained_on[1]
+    assert (
+        f"gyro_x: runs {apart.run} of {apart.session} have no temperature in common with the others:"
+        " taken as they are, without a turn-on offset"
+    ) in found.warnings
 
 
 @pytest.mark.usefixtures("fast")
@@ -174,13 +174,27 @@ def test_sessions_in_different_body_axes_are_refused() -> None:
     assert caught.value.reason is Reason.BAD_DATA
 
 
-def test_sessions_with_different_thermometers_are_refused() -> None:
+@pytest.mark.parametrize("axes", ["xyz", "y"])
+def test_sessions_with_different_thermometers_are_refused(axes: str) -> None:
     t = soak(300.0)
-    columns = samples(t).columns
-    own = SampleBlock({**columns, **{f"temperature_{axis}": columns["temperature"] for axis in "xyz"}})
-    with pytest.raises(ImumonError, match="different thermometers: temperature, temperature_x") as caught:
+    block = samples(t)
+    own = block.with_columns({f"temperature_{axis}": block["temperature"] for axis in axes})
+    message = f"different thermometers: temperature, temperature_{axes[0]}$"
+    with pytest.raises(ImumonError, match=f"(?m){message}") as caught:
         calibrate([record(t), record_of([own], "own", "1" * 64)])
     assert caught.value.reason is Reason.BAD_DATA
+
+
+@pytest.mark.usefixtures("fast")
+def test_a_gyros_own_thermometer_may_be_far_off_the_others() -> None:
+    block = samples(soak(300.0))
+    own = block.with_columns(
+        {f"temperature_{a}": block["temperature"] + 80.0 * k for k, a in enumerate("xyz")}
+    )
+    alone, found = (calibrate([record_of([one], "s", "0" * 64)]) for one in (block, own))
+    for name in GYROS:
+        np.testing.assert_array_equal(found.fits[name].points.level, alone.fits[name].points.level)
+        assert found.fits[name].lag_rms == pytest.approx(alone.fits[name].lag_rms, rel=0.05)
 
 
 @pytest.mark.usefixtures("fast")
@@ -295,14 +309,37 @@ def test_what_cannot_give_a_model_is_refused_with_its_numbers(
     assert caught.value.hint
 
 
-def test_gyros_that_change_in_motion_only_are_refused() -> None:
-    t = soak(300.0)
-    moving = np.arange(len(t)) > len(t) - 400
-    turns = np.where(moving, 0.3 * np.random.default_rng(1).standard_normal(len(t)), 0.0)
-    block = samples(t).with_columns({**dict.fromkeys(GYROS, turns), "at_rest": np.where(moving, 0, 1)})
+def moving_at_the_end(block: SampleBlock, names: list[str]) -> SampleBlock:
+    """Return samples in which these gyros are 0 at rest, and change in motion only."""
+    moving = np.arange(len(block)) > len(block) - 400
+    turns = np.where(moving, 0.3 * np.random.default_rng(1).standard_normal(len(block)), 0.0)
+    return block.with_columns({**dict.fromkeys(names, turns), "at_rest": np.where(moving, 0, 1)})
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize("accel", [None, (0.0, 0.0, GRAVITY)])
+def test_gyros_that_change_in_motion_only_are_refused(accel: tuple[float, float, float] | None) -> None:
+    block = moving_at_the_end(samples(soak(300.0), accel=accel), GYROS)
     with pytest.raises(ImumonError, match="no gyro ever changes at rest") as caught:
         calibrate([record_of([block], "bench", "0" * 64)])
     assert caught.value.reason is Reason.BAD_DATA
+
+
+@pytest.mark.usefixtures("fast")
+@pytest.mark.parametrize("place", [(None, None), (50.0, 20.0)])
+def test_a_gyro_that_changes_in_motion_only_has_no_curve_and_that_is_reported(
+    place: tuple[float | None, float | None],
+) -> None:
+    """Also in two poses with a place: the earth rate that is taken off differs between them."""
+    poses = [(0.0, 0.0, GRAVITY), (0.0, GRAVITY, 0.0)]
+    blocks = [
+        moving_at_the_end(samples(soak(300.0), k, accel=pose), ["gyro_y"]) for k, pose in enumerate(poses)
+    ]
+    found = calibrate(
+        [record_of([one], name, name * 64) for name, one in zip("01", blocks, strict=True)], *place
+    )
+    assert set(found.model.channels) == {"gyro_x", "gyro_z", *ACCELS}
+    assert "gyro_y: it never changes at rest: no curve" in found.warnings
 
 
 def test_half_of_a_place_is_refused() -> None:

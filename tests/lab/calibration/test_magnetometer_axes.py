@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray, SampleBlock
 from imumon.errors import ImumonError
-from imumon.lab.calibration.magnetometer import WAYS, MagnetometerAxes, axes_of, doubts, fit_magnetometer
+from imumon.lab.calibration.magnetometer import AXIS_MAPS, MagnetometerAxes, axes_of, doubts, fit_magnetometer
 from imumon.models.model import MagnetometerModel
 
 FIELD = np.array([2.0, 20.0, -43.0])
@@ -64,7 +64,7 @@ def test_axes_as_declared_are_found_as_such(rate_hz: float, speed: float, late: 
         assert doubts(model, axes, "test") == []
 
 
-@pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED, WAYS[7], -WAYS[15]])
+@pytest.mark.parametrize("way", [MPU_9250, LEFT_HANDED, AXIS_MAPS[7], -AXIS_MAPS[15]])
 def test_other_axes_are_refused_and_named(way: FloatArray) -> None:
     model, axes = found(turns(3, way))
     with pytest.raises(ImumonError, match="has not the gyros' axes: their x, y, z are its") as caught:

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imumon.blocks import FloatArray
-from imumon.lab.calibration.magnetometer import WAYS, fitted_axes, way_as_text
+from imumon.lab.calibration.magnetometer import AXIS_MAPS, axis_map_as_text, fitted_axes
 
 FIELD = np.array([0.4, 0.1, -0.9])
 
@@ -18,19 +18,19 @@ def nearest(way: FloatArray, seed: int, count: int = 200, noise: float = 0.02) -
     before, still = turns.apply(after), np.zeros((count, 2, 3))
     by_bias = np.broadcast_to(0.5 * np.eye(3), (count, 3, 3))
     field = np.stack([before @ way, after @ way], axis=1)
-    return fitted_axes(field, still, turns.as_matrix(), by_bias, noise).way
+    return fitted_axes(field, still, turns.as_matrix(), by_bias, noise).nearest
 
 
 def test_there_are_24_ways_and_the_first_is_as_declared() -> None:
-    assert WAYS.shape == (24, 3, 3)
-    np.testing.assert_array_equal(WAYS[0], np.eye(3))
-    np.testing.assert_allclose(np.linalg.det(WAYS), 1.0)
-    assert len({way.tobytes() for way in WAYS + 0.0}) == 24
+    assert AXIS_MAPS.shape == (24, 3, 3)
+    np.testing.assert_array_equal(AXIS_MAPS[0], np.eye(3))
+    np.testing.assert_allclose(np.linalg.det(AXIS_MAPS), 1.0)
+    assert len({way.tobytes() for way in AXIS_MAPS + 0.0}) == 24
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_every_way_is_found_whatever_the_sign(sign: float) -> None:
-    for k, way in enumerate(WAYS):
+    for k, way in enumerate(AXIS_MAPS):
         assert nearest(sign * way, k) == k
 
 
@@ -45,4 +45,4 @@ def test_turns_about_one_axis_with_iron_left_over_are_evidence_of_no_axes() -> N
 
 def test_a_way_is_named_with_its_reverse() -> None:
     swapped = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    assert way_as_text(swapped) == "+y, +x, -z or -y, -x, +z"
+    assert axis_map_as_text(swapped) == "+y, +x, -z or -y, -x, +z"
