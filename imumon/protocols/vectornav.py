@@ -165,7 +165,7 @@ PLACES = {
 }
 """Group and bit of the fields that can be sent, by GROUP.FIELD: those that need no second byte or word."""
 KNOWN_BITS = {group: sum(1 << bit for bit in fields) for group, fields in FIELDS.items()}
-KNOWN_GROUPS = 0x87F  # a bit each: 1 to 7 and 12
+KNOWN_GROUPS = sum(1 << group - 1 for group in FIELDS)
 SENTENCES = {
     name: Message(name, part(f"8 | {numbers.replace('f32', 'f64')}"))
     for name, numbers in {
@@ -205,38 +205,45 @@ class Contents(NamedTuple):
 def read_contents(packet: bytes) -> Contents | int:
     """Return what a packet holds, or the code of why that is not known; see `framing.Lengths`."""
     try:
-        return _contents(packet)
+        header = _header(packet)
+        return IMPOSSIBLE if header is None else _placed(packet, *header)
     except IndexError:  # the bytes end before that is known
         return INCOMPLETE
 
 
-def _contents(packet: bytes) -> Contents | int:
+def _header(packet: bytes) -> tuple[list[tuple[int, int]], int] | None:
+    """Return the groups, with the bits of their fields, and where the header ends; None: no such header."""
     groups, at = packet[1] & 0x7F, 2
     if packet[1] & 0x80:
         groups |= packet[2] << 7
         at = 3
     if groups & ~KNOWN_GROUPS and len(packet) > MOST_HEADER + 2:
-        return IMPOSSIBLE  # as of most FA that begin no packet: known as soon as the whole header is there
+        return None  # as found below, but faster: so are most FA that begin no packet
     listed = list[tuple[int, int]]()
     while groups:
         group = (groups & -groups).bit_length()  # the lowest
         groups &= groups - 1
         if group not in FIELDS:
-            return IMPOSSIBLE
+            return None
         bits, shift, more = 0, 0, True
         while more:
             if at > MOST_HEADER:
-                return IMPOSSIBLE
+                return None
             word = packet[at] | packet[at + 1] << 8
             more = group != COMMON and word >= 0x8000
             bits |= (word & 0x7FFF if more else word) << shift
             if bits & ~KNOWN_BITS[group]:
-                return IMPOSSIBLE
+                return None
             at += 2
             shift += 16
         listed.append((group, bits))
+    return listed, at
+
+
+def _placed(packet: bytes, listed: Sequence[tuple[int, int]], header: int) -> Contents | int:
+    """Return the contents of a packet with these fields behind its header, or `IMPOSSIBLE`."""
     items = [item for group, bits in listed for bit, item in FIELDS[group].items() if bits >> bit & 1]
-    fields, end = Placed(), at
+    fields, end = list[tuple[Message, int, int]](), header
     for item in items:
         fields.append((item, end, item.size))
         if item.name in REPEATS:
@@ -245,7 +252,7 @@ def _contents(packet: bytes) -> Contents | int:
         end += item.size
         if end + 2 > LONGEST_PACKET:
             return IMPOSSIBLE
-    return Contents(fields, at, end) if items else IMPOSSIBLE
+    return Contents(fields, header, end) if items else IMPOSSIBLE
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -255,14 +262,13 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     while len(left := np.flatnonzero(length == 0)):
         for k, start in enumerate(map(int, at[left])):
             found = read_contents(data[start : start + LONGEST_PACKET])
-            if isinstance(found, int):
-                length[left[k]] = found
-                continue
-            places = found.identifying
-            alike = left[k:][at[left[k:]] + places[-1] < len(held)]
-            heads = windows(held, at[alike], places[-1] + 1)[:, places]
-            length[alike[np.all(heads == heads[0], axis=1)]] = found.end + 2
-            break
+            if not isinstance(found, int):
+                places = found.identifying
+                alike = left[k:][at[left[k:]] + places[-1] < len(held)]
+                heads = windows(held, at[alike], places[-1] + 1)[:, places]
+                length[alike[np.all(heads == heads[0], axis=1)]] = found.end + 2
+                break
+            length[left[k]] = found
     return length
 
 
@@ -331,22 +337,27 @@ class VectorNavDecoder(TableDecoder):
 
     def __init__(self) -> None:
         super().__init__()
-        for name in ("roll", "pitch"):  # seldom sent, and alignment takes other names where they may be
+        for name in ("roll", "pitch"):  # seldom sent: the columns of alignment keep their names
             del self._possible[name]
 
     def _by_layout(self, found: Found) -> Layouts:
         """Yield the layouts; where a calibrated quantity first comes, the filtered one gets another name."""
-        for _, rows, packet in self._alike(found) if self._have_come < {*FILTERED} else ():
+        if self._have_come == {*FILTERED}:
+            yield from super()._by_layout(found)
+            return
+        begin = 0
+        for _, rows, packet in self._alike(found):
             new = _calibrated(super()._numbers(packet)) - self._have_come
             if new:
-                first = int(rows[0])
-                yield from super()._by_layout(found.only(np.arange(first)))
-                self._have_come |= new  # the packets before have been read, under the old names
+                yield from self._between(found, begin, int(rows[0]))  # under the old names
+                begin = int(rows[0])
+                self._have_come |= new
                 self._layouts.clear()
-                for layout, later in self._by_layout(found.only(np.arange(first, len(found)))):
-                    yield layout, first + later
-                return
-        yield from super()._by_layout(found)
+        yield from self._between(found, begin, len(found))
+
+    def _between(self, found: Found, begin: int, end: int) -> Layouts:
+        rows = np.arange(begin, end)
+        return ((layout, rows[mine]) for layout, mine in super()._by_layout(found.only(rows)))
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":
