@@ -35,7 +35,7 @@ class Decoder:
     `groups`: those of all columns that may come, for a protocol that may spread one moment over several
         packets; None where each packet is a row.
     `possible`: all columns that may come.
-    `layouts`: what packets of each kind carry, where their kind alone states it.
+    `layouts`: of each name of the frames, in order, where the kind of a packet alone states what it carries.
     `remarks`: on the device file, for `warnings`.
     """
 
@@ -211,7 +211,7 @@ class Decoder:
         for layout, mine in parts:
             my_rows, values = np.searchsorted(rows, mine), layout.read(found.only(mine))
             if self.groups is not None:
-                groups[my_rows] = self.groups.bits({*layout.of_column.values()})
+                groups[my_rows] = self.groups.bits({*layout.group_of.values()})
             for column in layout.columns:
                 self._columns.setdefault(column.name, column)
                 if len(mine) == len(rows):

@@ -28,8 +28,7 @@ from .numbers import is_missing
 GENERATION = 32
 """Epochs after which it is known what one may have; with a rarer field a row comes out later.  Assumed."""
 NO_TIME, COUNTED, TIMED = range(3)  # what distinguishes epochs: nothing, the counter, the time of validity
-EPOCH, AFTER, UNTIL = range(3)
-"""Columns of the ended epochs: number, and main rows as `Epochs` counts them."""
+EPOCH, AFTER, UNTIL = range(3)  # columns of the ended epochs: number, and main rows as `Epochs` counts them
 BITS = 62  # sets of columns in a word of 64 bits, whose sign stays free; assumed
 
 
@@ -139,7 +138,7 @@ class EpochAssembler:
         """Return epoch and own columns of kept and new packets in each group, and the epochs that ended."""
         block, n = packets.block, len(packets.block)
         masks, may = np.zeros(n, np.int64), np.zeros(len(self._state), np.int64)
-        for name, group in self._groups.of_column.items():
+        for name, group in self._groups.number_of.items():
             if name in block:
                 masks[~is_missing(block[name])] |= self._bit(name)
                 may[group] |= self._bit(name)
@@ -176,7 +175,7 @@ class EpochAssembler:
         for name, values in block.columns.items():
             taken = values[packet]
             present = ~is_missing(taken)
-            if name in self._groups.of_column:
+            if name in self._groups.number_of:
                 present &= (own & self._bit(name)) != 0
             if name not in known and name not in COMMON and not present.any():
                 continue
@@ -196,8 +195,8 @@ def _steps_within(block: SampleBlock, packet: IntArray, row: IntArray, n: int) -
     there = counter != NO_INT
     counter, row = counter[there], row[there]
     first, last = np.zeros((2, n), np.int64)
-    first[row[::-1]], last[row] = counter[::-1], counter
-    others = np.bincount(row, minlength=n) - 1  # packets besides the first
+    first[row[::-1]], last[row] = counter[::-1], counter  # assigned in order: the last of a row stays
+    others = np.bincount(row, minlength=n) - 1  # packets besides the first; -1 in a row without a counter
     # A counter that wrapped within the row went on by one a packet; the same one again is no step.
     return np.where(last < first, others, np.minimum(last - first, others)).clip(0)
 

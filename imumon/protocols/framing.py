@@ -10,8 +10,7 @@ next to nothing, and what is found does not depend on how the stream was cut.
 How damage is survived: after a bad checksum or an impossible length the search goes on at the next byte.  A
 damaged packet that lost bytes and passes its check all the same (one in 256 with a sum of eight bits) ends
 inside the next.  So where no sync pattern follows an accepted packet, a valid one that begins inside it and
-ends behind it is accepted, too; bytes count once.  Not so inside a packet without a checksum: it holds any
-bytes, also what looks like the beginning of another, and nothing proves which of the two is right.
+ends behind it is accepted, too; bytes count once.  In one without a checksum nothing proves which is right.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -159,14 +158,11 @@ def candidates(frames: Sequence[Frame], held: ByteArray, final: bool) -> Found:
     return found.only(order[is_first])
 
 
-def search(
-    frames: Sequence[Frame], held: ByteArray, final: bool, overlap: int
-) -> tuple[Found, Found, int, int]:
-    """Return the candidates, the packets among them, where the rest begins, and its overlap.
+def search(frames: Sequence[Frame], held: ByteArray, final: bool, end: int) -> tuple[Found, Found, int, int]:
+    """Return the candidates, the packets among them, where the rest begins, and where the last ends in it.
 
     The rest, which more bytes may make a packet, begins with a candidate that is not complete; at the end of
-    the data (`final`) only where no packet follows.  The overlap is how many of its first bytes belong to the
-    last packet; `overlap` is that of the search before, whose rest is the beginning of `held`.
+    the data (`final`) only where no packet follows.  `end`: where the last packet of the search before ends.
     """
     tried = candidates(frames, held, final)
     is_checked = [frame.check is not None for frame in frames for _ in frame.names]
@@ -180,7 +176,7 @@ def search(
     last_of_run = run_ends[np.searchsorted(run_ends, np.arange(len(at)))]
     runs: list[IntArray] = [hopeful[:0]]
     k, rest = 0, len(held)
-    end, has_check = overlap, True  # of the last packet: only one with a checksum leaves an overlap
+    has_check = True  # the last packet; only one with a checksum ends behind the beginning of a rest
     while k < len(at):
         start, length = int(at[k]), int(lengths[k])
         may_lack_bytes = has_check and not is_sync[end]
@@ -202,15 +198,13 @@ def search(
     return tried, tried.only(np.concatenate(runs)), rest, max(end - rest, 0)
 
 
-def counted_length(offset: int, size: int, overhead: int, longest: int) -> Lengths:
-    """Return the `Lengths` of packets that state how many bytes they have besides `overhead`, low byte first.
+def counted_lengths(
+    offset: int, size: int, overhead: int, longest: int, held: ByteArray, at: IntArray
+) -> IntArray:
+    """Return the lengths of packets that state how many bytes they have besides `overhead`; see `Lengths`.
 
-    `offset`, `size`: place and bytes of the number.  `longest`: longest packet that is believed.
+    `offset`, `size`: place and bytes of the number, low byte first.  `longest`: packet that is believed.
     """
-    return partial(_counted, offset, size, overhead, longest)
-
-
-def _counted(offset: int, size: int, overhead: int, longest: int, held: ByteArray, at: IntArray) -> IntArray:
     result = np.full_like(at, INCOMPLETE)
     there = np.flatnonzero(at + offset + size <= len(held))
     stated = overhead + integers(held, at[there] + offset, size)
@@ -319,7 +313,7 @@ class Checksum:
         return found & ((1 << 8 * self.size) - 1)
 
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
+        """Return which packets are right; see `Check`."""
         place = length - self.size if self.at is None else self.at
         computed = self.values(held, at + self.first, at + (place if self.end is None else self.end))
         return np.asarray(computed == integers(held, at + place, self.size, self.big))

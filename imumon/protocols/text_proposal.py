@@ -17,20 +17,18 @@ from imumon.blocks import FloatArray
 
 from .text import NUMBER, Line
 
-LEAST_LINES = 20
-"""Lines of one kind from which columns are proposed."""
-SAME = 0.8
-"""Share of the lines that must be of one kind: others are headers, comments, torn lines."""
+LEAST_LINES = 20  # lines of one kind from which columns are proposed
+SAME = 0.8  # share of the lines that must be of one kind: others are headers, comments, torn lines
 GRAVITIES = {9.80665: "scale: 1, unit: m/s^2", 1.0: "scale: 1, unit: g", 1000.0: "scale: 1, unit: mg"} | {
     float(counts): f"scale: 1/{counts}, unit: g" for counts in (16384, 8192, 4096, 2048, 256)
 }
 """What the norm of the specific force at rest is, in units and counts that are usual."""
-NEAR = 0.06
-"""Offset and scale errors of a sensor that is not calibrated: a few percent of gravity."""
-STEADY = 0.05
-"""Scatter of a norm, relative, up to which it is that of a constant vector."""
-ZERO = 2.5
-"""Norm, in units of its scatter, up to which three numbers are about zero: of noise alone it is 2.3."""
+NEAR = 0.06  # offset and scale errors of a sensor that is not calibrated: a few percent of gravity
+STEADY = 0.05  # relative scatter of a norm, up to which it is that of a constant vector
+ZERO = 2.5  # norm, in units of its scatter, up to which three numbers are about zero: of noise it is 2.3
+MOST_OFFSET = 30.0  # of a gyro at rest, in standard deviations of its noise; assumed
+MOST_RATE = 300.0  # of a gyro at rest, also in raw counts; assumed
+SLOWEST, FASTEST = 0.7, 1.4  # rates of a clock, relative to that of the lines; assumed
 NORMS = [
     *((g * (1 - NEAR), g * (1 + NEAR), "accel", keys, f"gravity is {g:g}") for g, keys in GRAVITIES.items()),
     *(
@@ -189,7 +187,7 @@ def _time(x: FloatArray, rate: float) -> Guess | None:
         return None
     whole = bool(np.all(x == np.rint(x))) and x.min() >= 0 and x.max() < 1 << 32
     for unit, size in UNITS.items():
-        if 0.7 < middle * size * rate < 1.4:
+        if SLOWEST < middle * size * rate < FASTEST:
             why = f"rises by {middle:.6g} a line: at {rate:.4g} lines a second that is {unit}"
             return "device_ticks", f"{'type: u32, ' if whole else ''}unit: {unit}", why
     return ("packet_counter", "type: u32", "rises by one a line") if whole and middle == 1.0 else None
@@ -209,7 +207,8 @@ def _vector(x: FloatArray, named: str) -> Guess | None:
     # Numbers with their scatter: noise and a small offset.  A filter correlates a few lines, a hand more.
     later = 1 + len(x) // 20
     deviation, offset = x.std(axis=0), np.abs(x.mean(axis=0))
-    is_small = np.all(deviation > 0) and np.all(offset < 30 * deviation.max()) and np.abs(x).max() < 300
+    is_noise = np.all(deviation > 0) and np.all(offset < MOST_OFFSET * deviation.max())
+    is_small = is_noise and np.abs(x).max() < MOST_RATE
     if named == "gyro" or (not named and is_small):
         if named:
             why = "named so"

@@ -23,7 +23,7 @@ from imumon.columns import KNOWN
 
 from .base import LONGEST_PACKET, ByteArray, Encoder, Timing, chosen
 from .decoder import Layouts
-from .framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length, windows
+from .framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_lengths, windows
 from .messages import Message, Placed, TableDecoder, part, table
 from .numbers import Number, Record
 from .text import line_frame, sentence_body, texts
@@ -204,55 +204,50 @@ class Contents(NamedTuple):
 
 def read_contents(packet: bytes) -> Contents | int:
     """Return what a packet holds, or the code of why that is not known; see `framing.Lengths`."""
+    fields: Placed = []
     try:
-        header = _header(packet)
-        return IMPOSSIBLE if header is None else _placed(packet, *header)
+        listed, header = _header(packet)
+        end = header
+        for item in listed:
+            fields.append((item, end, item.size))
+            if item.name in REPEATS:
+                more_bytes, counter = REPEATS[item.name]
+                end += more_bytes * packet[end + counter]
+            end += item.size
+            if end + 2 > LONGEST_PACKET:
+                return IMPOSSIBLE
     except IndexError:  # the bytes end before that is known
         return INCOMPLETE
+    return Contents(fields, header, end) if fields else IMPOSSIBLE
 
 
-def _header(packet: bytes) -> tuple[list[tuple[int, int]], int] | None:
-    """Return the groups, with the bits of their fields, and where the header ends; None: no such header."""
+def _header(packet: bytes) -> tuple[list[Message], int]:
+    """Return the fields that the header of a packet lists, none where one is not known, and where it ends."""
     groups, at = packet[1] & 0x7F, 2
     if packet[1] & 0x80:
         groups |= packet[2] << 7
         at = 3
     if groups & ~KNOWN_GROUPS and len(packet) > MOST_HEADER + 2:
-        return None  # as found below, but faster: so are most FA that begin no packet
-    listed = list[tuple[int, int]]()
+        return [], at  # as found below, but faster: so are most FA that begin no packet
+    listed = list[Message]()
     while groups:
         group = (groups & -groups).bit_length()  # the lowest
         groups &= groups - 1
         if group not in FIELDS:
-            return None
+            return [], at
         bits, shift, more = 0, 0, True
         while more:
             if at > MOST_HEADER:
-                return None
+                return [], at
             word = packet[at] | packet[at + 1] << 8
             more = group != COMMON and word >= 0x8000
             bits |= (word & 0x7FFF if more else word) << shift
             if bits & ~KNOWN_BITS[group]:
-                return None
+                return [], at
             at += 2
             shift += 16
-        listed.append((group, bits))
+        listed += [item for bit, item in FIELDS[group].items() if bits >> bit & 1]
     return listed, at
-
-
-def _placed(packet: bytes, listed: Sequence[tuple[int, int]], header: int) -> Contents | int:
-    """Return the contents of a packet with these fields behind its header, or `IMPOSSIBLE`."""
-    items = [item for group, bits in listed for bit, item in FIELDS[group].items() if bits >> bit & 1]
-    fields, end = list[tuple[Message, int, int]](), header
-    for item in items:
-        fields.append((item, end, item.size))
-        if item.name in REPEATS:
-            more_bytes, counter = REPEATS[item.name]
-            end += more_bytes * packet[end + counter]
-        end += item.size
-        if end + 2 > LONGEST_PACKET:
-            return IMPOSSIBLE
-    return Contents(fields, header, end) if items else IMPOSSIBLE
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -327,12 +322,12 @@ class VectorNavDecoder(TableDecoder):
 
     frames = (
         Frame({b"\xfa": "binary"}, _lengths, XMODEM),
-        Frame({b"\xfb\x00": "split"}, counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
+        Frame({b"\xfb\x00": "split"}, partial(counted_lengths, 4, 2, 8, LONGEST_PACKET), XMODEM),
         line_frame({b"$VN": "ascii"}, _sentence),
     )
     timing = Timing(tick_ns=Fraction(1))
     messages = BY_PLACE
-    names, apart = SIDE_GROUPS, (*RECEIVERS.values(),)
+    side_groups, apart = SIDE_GROUPS, (*RECEIVERS.values(),)
     _have_come: frozenset[str] = frozenset()  # quantities, as they were calibrated in the factory
 
     def __init__(self) -> None:
@@ -377,7 +372,7 @@ class VectorNavDecoder(TableDecoder):
 
     def _layout(self, packet: bytes) -> Record | None:
         layout = super()._layout(packet)
-        if layout is not None and "gyro_x" in layout.of_column and "gyro" not in self._have_come:
+        if layout is not None and "gyro_x" in layout.group_of and "gyro" not in self._have_come:
             self._report(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
                 "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU",

@@ -19,10 +19,9 @@ from .text import NUMBER, line_frame, line_lengths, texts
 
 BINARY = 0x80
 END, ESCAPE, ESCAPED_END, ESCAPED_ESCAPE = 0x0A, 0xDB, 0xDC, 0xDD
-"""In a message, the first two are an escape and one of the others."""
+"""In a message an end is sent as an escape and the third, an escape as two bytes: itself and the fourth."""
 TIME_SIZE = 8
-YEARS_US = 1 << 58
-"""Microseconds of 9000 years: a message that claims more began in the middle of another."""
+YEARS_US = 1 << 58  # microseconds of 9000 years: a message that claims more began in the middle of another
 
 _MATRIX = " | ".join(f"matrix_{i}{j} f32 1 rotation matrix" for i in "xyz" for j in "xyz")
 MESSAGES = table(f"""
@@ -62,7 +61,7 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     escapes = np.flatnonzero(held[:-1] == ESCAPE)
     bad = escapes[~np.isin(held[escapes + 1], (ESCAPED_END, ESCAPED_ESCAPE))]
     unspoilt = np.searchsorted(bad, at) == np.searchsorted(bad, end)
-    in_time = plain[np.minimum(begin + TIME_SIZE, len(plain) - 1)] < YEARS_US >> 56
+    in_time = plain[np.minimum(begin + TIME_SIZE, len(plain) - 1)] < YEARS_US >> 56  # highest byte
     return np.asarray(unspoilt & in_time & (place[end] - begin == SIZES[held[at]] + 1))
 
 
@@ -91,7 +90,7 @@ class XimuDecoder(FamilyDecoder):
     frames = (
         Frame(
             {bytes([key | BINARY]): message.name for key, message in MESSAGES.items()},
-            partial(line_lengths, False),
+            partial(line_lengths, begins_with_end=False),
             _right,
         ),
         line_frame({b"%c," % key: f"{message.name} text" for key, message in MESSAGES.items()}, _numbers),
