@@ -142,7 +142,7 @@ class Decoder:
         return Counters(
             bytes_received=self._received,
             bytes_in_packets=self._in_packets,
-            bytes_skipped=self._received - self._in_packets - (len(self._rest) - self._overlap),
+            bytes_skipped=self._received - self._in_packets - (len(self._rest) - self._overlap),  # pending
             packets=int(self._by_kind.sum()),
             checksum_errors=self._checksum_errors,
             length_errors=self._length_errors,
@@ -183,7 +183,7 @@ class Decoder:
 
     def _count(self, found: Found, tried: Found, rest: int) -> None:
         """Count the packets, their bytes once each, and the errors outside of them."""
-        # Where each packet ends, and before them the one of the last search: so k is the one before packet k.
+        # The first is of the last packet of the search before: so ends[k] is the end of the one before k.
         ends = np.append(self._overlap, found.at + found.length)
         self._in_packets += int(np.sum(ends[1:] - np.maximum(found.at, ends[:-1])))
         self._by_kind += np.bincount(found.kind, minlength=len(self._names))

@@ -219,7 +219,7 @@ def _assign(work: _Work, end: bool) -> None:
         # For the main row are the columns that groups that are apart leave, and those of the main group.
         for_main = mask
         for g in range(1, len(groups)):
-            if bits >> g & 1 and groups[g].apart:
+            if (bits >> g) & 1 and groups[g].apart:
                 for_main &= ~own[row, g]
         joins = (bits & 1) != 0
         if joins:
@@ -232,7 +232,7 @@ def _assign(work: _Work, end: bool) -> None:
         else:
             work.behind[i] = main.epochs + (main.epoch != 0)  # with the open one
         for g in range(1, len(groups)):
-            if bits >> g & 1 and (groups[g].apart or not joins):
+            if (bits >> g) & 1 and (groups[g].apart or not joins):
                 # It fits neither the main row nor the epoch of its group that waits for one.
                 if groups[g].epoch and _is_other(groups[g], key_kind, key, own[row, g]):
                     groups[g].apart = 1

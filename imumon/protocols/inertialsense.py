@@ -59,7 +59,6 @@ DATA_SETS = table(f"""
 4 ins_1 [filter]: {_FILTER} | angles f32 | {_MOVES} | 12
 5 ins_2 [filter]: {_FILTER} | q f32 | {_MOVES}
 """)
-"""Data sets by their identifier."""
 
 
 class InertialSenseDecoder(FamilyDecoder):

@@ -20,9 +20,9 @@ from .framing import CRCS, IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, by_di
 from .messages import FamilyDecoder, table
 from .numbers import Derived, known
 
-FIRST, SECOND = b"\xfe", b"\xfd"
+SECOND = b"\xfd"  # first byte of a message of version 2
 FIRST_HEADER, SECOND_HEADER = 6, 10
-HEADERS = {FIRST: FIRST_HEADER, SECOND: SECOND_HEADER}
+HEADERS = {b"\xfe": FIRST_HEADER, SECOND: SECOND_HEADER}
 NUMBER_SIZES = {FIRST_HEADER: 1, SECOND_HEADER: 3}  # bytes of the message's number, which ends the header
 VEHICLE_AT, NUMBER_AT = 5, 7  # in version 2: number and component of the sender, number of the message
 SIGNATURE = 13

@@ -230,9 +230,8 @@ class TableDecoder(Decoder):
 class FamilyDecoder(TableDecoder):
     """Decodes packets that are each a message of a table."""
 
-    start: int
-    overhead: int
-    """Bytes before the payload; bytes of the packet besides the payload."""
+    start: int  # bytes before the payload
+    overhead: int  # bytes of the packet besides the payload
     head: Sequence[int]
     """Places of the bytes that identify what a packet carries."""
 

@@ -251,7 +251,7 @@ MATRIX = tuple(f"_matrix_{i}{j}" for i in "123" for j in "123")
 
 
 def _parts_to_time(prefix: str, per_s: int, columns: Columns) -> list[ColumnArray]:
-    """Make a Unix time of a date; an impossible date (all zero before the first fix) is missing."""
+    """Make a Unix time of a date; missing when it cannot be (zeros before a fix) or int64 ends, in 2262."""
     rest, year, month, day, hour, minute, second = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
     good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
     months = np.where(good, (year - 1970) * 12 + month - 1, 0).astype("datetime64[M]")

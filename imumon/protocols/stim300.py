@@ -74,7 +74,7 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
 CHECK = Checksum("crc32-mpeg2", big=True, align=4)
 SIZES = np.zeros(256, np.int64)
 SIZES[[*DATAGRAMS]] = [message.size + CRC_SIZE for message in datagrams("rate", 10, None).values()]
-"""Bytes of each datagram by its identifier."""
+"""Bytes of each datagram by its identifier, which are the same for any output and range."""
 
 
 def _length(held: ByteArray, at: IntArray) -> IntArray:

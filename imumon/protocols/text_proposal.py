@@ -153,30 +153,35 @@ def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
 
 
 def _guesses(places: Sequence[int | str], x: FloatArray, rate: float) -> list[Guess]:
+    """Return what each column may be."""
     names = [place if isinstance(place, str) else "" for place in places]
     taken = {k: guess for k in range(len(names)) if (guess := _time(x[:, k], rate)) is not None}
-    kinds = [next((what for what, named in QUANTITIES.items() if named.match(name)), "") for name in names]
-    # The norm of a temperature and two small numbers may be that of the earth's field.
+    named = [next((what for what, form in QUANTITIES.items() if form.match(name)), "") for name in names]
+    # The norm of a temperature and two small numbers may be that of the earth's field: so this comes last.
     for may_be_mag, k in product((False, True), range(len(names) - 2)):
         three = range(k, k + 3)
-        if taken.keys() & {*three} or len({*kinds[k : k + 3]}) > 1:
+        if taken.keys() & {*three} or len({*named[k : k + 3]}) > 1:
             continue
-        vector = _vector(x[:, three], kinds[k])
+        vector = _vector(x[:, three], named[k])
         if vector is not None and (may_be_mag or vector[0] != "mag"):
             what, unit, why = vector
             for j, axis in zip(three, "xyz", strict=True):
                 own = names[j][-1:].lower()
                 taken[j] = what and f"{what}_{own if own in tuple('xyz') else axis}", unit, why
-    guesses = dict[str, Guess]()
-    for k, name in enumerate(names):
-        likely, keys, why = taken.get(k) or _single(x[:, k], name)
+    return _distinct(names, [taken.get(k) or _single(x[:, k], name) for k, name in enumerate(names)])
+
+
+def _distinct(names: Sequence[str], guesses: Sequence[Guess]) -> list[Guess]:
+    """Return the guesses, of which each column is there once; others have their name or place instead."""
+    distinct = dict[str, Guess]()
+    for k, (name, (likely, keys, why)) in enumerate(zip(names, guesses, strict=True)):
         plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
         columns = likely, f"{plain}_raw" if plain[:1].isalpha() else "", f"value_{k}"
-        column = next(one for one in columns if one and one not in guesses)
+        column = next(one for one in columns if one and one not in distinct)
         if likely and column != likely:
             keys, why = "", f"also looks like {likely} ({why}), only one can be"
-        guesses[column] = column, keys, why
-    return [*guesses.values()]
+        distinct[column] = column, keys, why
+    return [*distinct.values()]
 
 
 def _time(x: FloatArray, rate: float) -> Guess | None:

@@ -34,15 +34,11 @@ SIDE_GROUPS = ("mag", "temperature", "pressure", "attitude", "filter", *RECEIVER
 FILTERED = ("gyro", "accel", "mag")
 """What the device sends both as it was calibrated in the factory and as its filter has left it."""
 
-
-def _filtered(base: str, factor: str = "") -> str:
-    """Return what the filter has left; where nothing else comes it has the columns without a suffix."""
-    unit = KNOWN[f"{base}_x"].unit
-    return f"{base}_compensated_xyz f32{factor} {unit} {base}, corrected by the device's own filter"
-
-
 YPR, QUATERNION = "yaw f32*deg | pitch f32*deg | roll f32*deg", "q_x f32 | q_y f32 | q_z f32 | q_w f32"
-RATE, FORCE, FIELD = _filtered("gyro"), _filtered("accel"), _filtered("mag", "*gauss")
+# What the filter has left; where nothing else comes it has the columns without "compensated", see `_renamed`.
+RATE = "gyro_compensated_xyz f32 rad/s gyro, corrected by the device's own filter"
+FORCE = "accel_compensated_xyz f32 m/s^2 accel, corrected by the device's own filter"
+FIELD = "mag_compensated_xyz f32*gauss uT mag, corrected by the device's own filter"
 DELTA_THETA = """delta_time f32 s time over which the increments were summed
   | delta_theta_xyz f32*deg rad rotation over the sample"""
 DELTA_VELOCITY = "delta_velocity_xyz f32 m/s velocity increment"
@@ -235,7 +231,9 @@ def _header(packet: bytes) -> tuple[list[Message], int]:
         groups &= groups - 1
         if group not in FIELDS:
             return [], at
-        bits, shift, more = 0, 0, True
+        bits = 0
+        shift = 0
+        more = True
         while more:
             if at > MOST_HEADER:
                 return [], at
@@ -262,7 +260,7 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
                 alike = left[k:][at[left[k:]] + places[-1] < len(held)]
                 heads = windows(held, at[alike], places[-1] + 1)[:, places]
                 length[alike[np.all(heads == heads[0], axis=1)]] = found.end + 2
-                break
+                break  # fewer are left now
             length[left[k]] = found
     return length
 

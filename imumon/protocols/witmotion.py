@@ -112,7 +112,7 @@ class WitMotionDecoder(FamilyDecoder):
         rates = np.column_stack([packets.block[f"gyro_{axis}"] for axis in "xyz"])
         still = np.append(self._still, ~np.any(rates[~np.isnan(rates[:, 0])], axis=1))
         self._still = still[1 - ZEROS :]
-        if np.convolve(still, np.ones(ZEROS), "valid").max(initial=0) == ZEROS:
+        if np.convolve(still, np.ones(ZEROS), "valid").max(initial=0) == ZEROS:  # all of so many
             self._report(
                 "the device sends rates of exactly zero: at rest it takes off what it holds for bias, "
                 "so bias and noise found from them mean nothing",

@@ -40,7 +40,6 @@ W rssi [status]: device_ticks u64 | rssi_percent f32 1 strength of the radio sig
   | rssi_power f32 1 the same, dBm
 Y sync [sync]: device_ticks u64 | sync_edge f32 1 edge at the input
 """)
-"""Messages with numbers by their letter."""
 SIZES = np.zeros(256, np.int64)
 SIZES[[key | BINARY for key in MESSAGES]] = [message.size for message in MESSAGES.values()]
 """Bytes of time and numbers of binary messages, by their first byte."""
