@@ -42,10 +42,8 @@ OFF_RATE = 0.4  # largest relative error of a clock's rate: packets are lost, an
 class Proposal(NamedTuple):
     """A device file, and how well it is founded; the better of two is the greater."""
 
-    checked: bool
-    """Whether a checksum fits."""
-    covered: float
-    """Share of the bytes that are in packets."""
+    checked: bool  # whether a checksum fits
+    covered: float  # share of the bytes that are in packets
     text: str
 
 
@@ -74,7 +72,7 @@ def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
         distances = np.diff(at)
         count = np.bincount(distances[distances <= LONGEST], minlength=SHORTEST + 1)
         lengths = np.flatnonzero(count[SHORTEST:] >= max(LEAST_PACKETS, USUAL * len(distances))) + SHORTEST
-        if len(lengths) == 1:
+        if len(lengths) == 1:  # a pattern that is in a packet twice has two usual distances
             length = int(lengths[0])
             covered = float(count[length] * length) / len(held)
             if covered > best.get(length, (COVERED,))[0]:
@@ -159,7 +157,8 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
 
 def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: float) -> Iterator[str]:
     n, length = packets.shape
-    constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
+    constant = _constant(packets)
+    usual = np.median(packets, axis=0).astype(int)
     sync = _run(constant[:LONGEST_SYNC])
     if check is not None and 2 <= check.first < sync:
         sync = check.first

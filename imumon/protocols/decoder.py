@@ -21,8 +21,7 @@ ONLY_CORRECTED = (
     "MIP's ScaledGyro"
 )
 """Warning of a device, of any family, that sends no rate as it was calibrated in the factory."""
-Layouts = Iterable[tuple[Record, IntArray]]
-"""Layouts, and which packets have each."""
+Layouts = Iterable[tuple[Record, IntArray]]  # layouts, and which packets have each
 
 
 class Decoder:
@@ -52,7 +51,8 @@ class Decoder:
         self._frames = tuple(frames)
         self._done: list[Packets] = []
         self._reported = set[str]()
-        self._notices, self._warnings = list[str](), [*remarks]
+        self._notices = list[str]()
+        self._warnings = [*remarks]
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet

@@ -137,6 +137,7 @@ class EpochAssembler:
     def _assigned(self, packets: Packets, end: bool) -> tuple[IntArray, IntArray, IntArray]:
         """Return epoch and own columns of kept and new packets in each group, and the epochs that ended."""
         block, n = packets.block, len(packets.block)
+        # Bits of the columns that each packet has, and that each group may have.
         masks, may = np.zeros(n, np.int64), np.zeros(len(self._state), np.int64)
         for name, group in self._groups.number_of.items():
             if name in block:
@@ -277,12 +278,13 @@ def _pull(row: int, key_kind: int, key: int, work: _Work) -> None:
         group = work.groups[g]
         if group.apart or not group.epoch or group.key_kind != key_kind or group.key != key:
             continue
+        # Fields that the new row has already, or that packets of this epoch gave to an earlier main row.
         first, clash = row, group.mask & (own[row, 0] | main.mask)
         for k in range(row):
             if epoch[k, g] == group.epoch:
                 first = min(first, k)
                 if epoch[k, 0] != main.epoch:
-                    clash |= own[k, 0]  # an earlier main row has taken it
+                    clash |= own[k, 0]
         if clash:
             continue
         for k in range(first, row):

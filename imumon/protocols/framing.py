@@ -42,10 +42,8 @@ class Frame:
     names: Mapping[bytes, str]
     """Sync patterns, all of the same 1 to 8 bytes, and what the counters call packets that begin so."""
     lengths: Lengths | int  # a number: all packets have this length
-    check: Check | None = None
-    """See `Check`; None: every packet is believed."""
-    tail: bytes = b""
-    """What may or may not follow a packet, and belongs to it."""
+    check: Check | None = None  # None: every packet is believed
+    tail: bytes = b""  # what may or may not follow a packet, and belongs to it
     fits: Check | None = None
     """Tests whether what is in packets with a right checksum can be of this kind."""
 
@@ -109,7 +107,7 @@ class Found:
     def __len__(self) -> int:
         return len(self.at)
 
-    def only(self, rows: IntArray | BoolArray) -> "Found":
+    def only(self, rows: IntArray | BoolArray | slice) -> "Found":
         """Return some of the packets."""
         return Found(self.held, self.at[rows], self.length[rows], self.kind[rows])
 
@@ -144,7 +142,8 @@ def candidates(frames: Sequence[Frame], held: ByteArray, final: bool) -> Found:
 
     The first frame counts that finds a packet there; or that may still find one, when more bytes come.
     """
-    of_frames, kinds_before = [], 0
+    of_frames = []
+    kinds_before = 0
     for frame in frames:
         at, length, kind = frame.candidates(held, final)
         of_frames.append((at, length, kinds_before + kind))
@@ -168,6 +167,7 @@ def search(frames: Sequence[Frame], held: ByteArray, final: bool, end: int) -> t
     is_checked = [frame.check is not None for frame in frames for _ in frame.names]
     is_sync = np.zeros(len(held) + 1, np.bool_)
     is_sync[tried.at] = True
+    # What is a packet, or may still become one.
     hopeful = np.flatnonzero((tried.length > 0) | (tried.length == INCOMPLETE))
     at, lengths = tried.at[hopeful], tried.length[hopeful]
     # Most packets stand one directly behind the other: such a run is taken at once.
@@ -284,8 +284,7 @@ class Checksum:
 
     name: str
     first: int = 0
-    big: bool = False
-    """Whether the most significant byte comes first."""
+    big: bool = False  # whether the most significant byte comes first
     zeros: int = 0
     end: int | None = None
     at: int | None = None

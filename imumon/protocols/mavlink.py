@@ -63,8 +63,7 @@ EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107
 EXTRAS = np.zeros(256, np.int64)
 EXTRAS[[*EXTRA]] = [*EXTRA.values()]
 _CRC = Checksum("crc16-mcrf4xx")
-_OF_LAST_BYTE = by_distance(CRCS["crc16-mcrf4xx"], 1)[0]
-"""What the last byte, at distance 0, adds to the CRC, by its value."""
+_OF_LAST_BYTE = by_distance(CRCS["crc16-mcrf4xx"], 1)[0]  # distance 0 first: what the last byte adds
 _BEFORE_EXTRA = Checksum("crc16-mcrf4xx", zeros=1)
 
 
@@ -89,7 +88,8 @@ def _length(header: int, held: ByteArray, at: IntArray) -> IntArray:
 
 def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     signature = SIGNATURE * (held[at + 2] & SIGNED) if header == SECOND_HEADER else 0
-    end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
+    end = at + length - signature
+    extra = EXTRAS[_number(held, at, header)]
     # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
     crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _OF_LAST_BYTE[extra]
     return np.asarray(crc == integers(held, end - 2, 2))
@@ -117,7 +117,8 @@ class MavlinkDecoder(FamilyDecoder):
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
         size = SECOND_HEADER + LONGEST
-        held, padded = np.zeros((len(found), size), np.uint8), np.pad(found.held, (0, LONGEST))
+        held = np.zeros((len(found), size), np.uint8)
+        padded = np.pad(found.held, (0, LONGEST))
         for kind, header in enumerate(HEADERS.values()):
             rows = np.flatnonzero(found.kind == kind)
             at = found.at[rows]
@@ -136,7 +137,8 @@ class MavlinkDecoder(FamilyDecoder):
         return key
 
     def _by_layout(self, found: Found) -> Layouts:
-        vehicle, first = integers(found.held, found.at + VEHICLE_AT, 2), 0
+        vehicle = integers(found.held, found.at + VEHICLE_AT, 2)
+        first = 0
         if self._vehicle < 0:
             number = _number(found.held, found.at, SECOND_HEADER)
             of_vehicle = np.flatnonzero(np.isin(number, OF_VEHICLE))

@@ -40,6 +40,7 @@ FACTORS = {
 """Factors to the units of imumon: from deg to rad, g to m/s^2, gauss to uT, kPa and hPa to Pa; and pi."""
 AXES = {"xyz": "xyz", "wxyz": "wxyz", "3x3": [f"{i}{j}" for i in "123" for j in "123"]}
 """Ends of the columns of a vector, a quaternion, a matrix."""
+# KEY NAME [GROUP] >=LEAST: NUMBERS
 _ROW = re.compile(r"(\S+) (\S+)(?: \[(\w*)\])?(?: >=(\d+))?:\s+(.*)", re.DOTALL)
 
 
@@ -116,13 +117,10 @@ def table(text: str, usual: str = MAIN) -> dict[int, "Message"]:
 class Message:
     """What packets with one identifier carry, or a field of a packet."""
 
-    name: str
-    """What the device file and the counters call it."""
+    name: str  # what the device file and the counters call it
     numbers: Part
-    """Its numbers, which stand one behind the other."""
     group: str = MAIN  # of its columns; times and counters have none
-    least: int = 0
-    """Bytes of the shortest payload that is read; `size` when 0."""
+    least: int = 0  # bytes of the shortest payload that is read; 0: `size`
 
     @cached_property
     def size(self) -> int:
@@ -143,8 +141,7 @@ class Message:
         return [number for number in numbers if number.end <= start + size]
 
 
-Placed = list[tuple[Message, int, int]]
-"""Messages in a packet, where each begins, and its size."""
+Placed = list[tuple[Message, int, int]]  # messages in a packet, where each begins, and its size
 Signature = tuple[int, int, bytes]
 """Kind and length of a packet, and the bytes that identify what is in it."""
 
@@ -250,7 +247,8 @@ class FamilyDecoder(TableDecoder):
         return self.head
 
     def _contents(self, packet: bytes) -> Placed:
-        message, size = self._message(self._key(packet)), len(packet) - self.overhead
+        message = self._message(self._key(packet))
+        size = len(packet) - self.overhead
         if message is None or size < (message.least or message.size):
             return []
         return [(message, self.start, min(size, message.size))]

@@ -62,8 +62,7 @@ class Number(NamedTuple):
     type: str
     factor: float = 1.0
     offset: float = 0.0
-    mask: int = 0
-    """Bits that count, of which the lowest becomes bit 0; 0: all."""
+    mask: int = 0  # bits that count, of which the lowest becomes bit 0; 0: all
     at: int = 0  # first byte
     group: str = NO_GROUP
     big: bool = False  # whether the most significant byte comes first
@@ -199,7 +198,7 @@ class Record:
         sent = [item.column for item in self._numbers if item.column is not None]
         for made in self._derived:
             sent += made.results
-            if made.sources[0] in self.group_of:
+            if made.sources[0] in self.group_of:  # the first decides for all
                 self.group_of |= dict.fromkeys(made.names, self.group_of[made.sources[0]])
         self.columns = tuple(column for column in sent if not column.name.startswith("_"))
 

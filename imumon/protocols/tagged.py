@@ -35,7 +35,8 @@ LONGEST_XBUS_PAYLOAD = 2048  # bytes that are believed, assumed
 TYPE_AT = 2  # place of the packet type
 HEADER, LONG_HEADER = 4, 6  # bytes before the payload, and where an Xbus message has more than 254 of it
 Field = tuple[int, int, int]  # its key, where its data begin, and their bytes
-_SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
+_SUM = Checksum("sum8-negated", first=1)
+_FLETCHER = Checksum("fletcher16-256")
 
 
 def xbus_lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -71,11 +72,9 @@ class Form(NamedTuple):
     frame: Frame
     check: Checksum
     longest: int  # bytes of a payload
-    message: Callable[[int, bytes], bytes]
-    """Returns a packet of a type and a payload, without its checksum."""
+    message: Callable[[int, bytes], bytes]  # of a type and a payload, without its checksum
     field_header_size: int  # bytes of a field before its data; 0: the payload is one field, of key 0
-    read_field_header: Callable[[bytes, int], tuple[int, int]]
-    """Returns key and size of the field at a place of a packet."""
+    read_field_header: Callable[[bytes, int], tuple[int, int]]  # key and size of one at a place of a packet
     write_field_header: Callable[[int, int], bytes]  # of a field with a key and so many bytes
 
     def payload(self, packet: bytes) -> bytes:
@@ -170,7 +169,7 @@ class TaggedDecoder(TableDecoder):
         """Return whether the payload of packets with a right checksum is what their type states."""
         fit = np.ones(len(at), np.bool_)
         data = np.flatnonzero(np.isin(held[at + TYPE_AT], self.data))
-        # Of kind 0: there is one frame.
+        # Packets that are alike are tested once; their kind is 0, as there is one frame.
         for _, rows, packet in self._alike(Found(held, at[data], length[data], np.zeros_like(data))):
             fit[data[rows]] = self._is_filled(packet)
         return fit

@@ -2,8 +2,7 @@
 
 Facts from the vendor's SDK and the VN-100 manual.  A binary packet is FA, a byte that lists the groups
 that follow (bit 7: a second byte, too), a word for each that lists its fields (bit 15: one more word, but
-not of Common), the fields, and a CRC; it has no length: that is the sum of the fields.  So a packet with a
-field that is not known cannot be read, and is passed over.
+not of Common), the fields, and a CRC.  Its length is the sum of these: with an unknown field it is skipped.
 
 `AngRate`, `Accel` and `Mag` are what the device's filter has left: its own estimate of the gyro bias is
 already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no more; they make ``gyro``,
@@ -31,11 +30,9 @@ from .text import line_frame, sentence_body, texts
 COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2, GNSS3 = *range(1, 8), 12  # bits from 1; second byte: from 8
 RECEIVERS = {GNSS1: "gnss1", GNSS2: "gnss2", GNSS3: "gnss3"}
 SIDE_GROUPS = ("mag", "temperature", "pressure", "attitude", "filter", *RECEIVERS.values())
-FILTERED = ("gyro", "accel", "mag")
-"""What the device sends both as it was calibrated in the factory and as its filter has left it."""
+FILTERED = ("gyro", "accel", "mag")  # sent both as calibrated in the factory and as the filter has left it
 
 YPR, QUATERNION = "yaw f32*deg | pitch f32*deg | roll f32*deg", "q_x f32 | q_y f32 | q_z f32 | q_w f32"
-# What the filter has left; where nothing else comes it has the columns without "compensated", see `_renamed`.
 RATE = "gyro_compensated_xyz f32 rad/s gyro, corrected by the device's own filter"
 FORCE = "accel_compensated_xyz f32 m/s^2 accel, corrected by the device's own filter"
 FIELD = "mag_compensated_xyz f32*gauss uT mag, corrected by the device's own filter"
@@ -69,8 +66,7 @@ _RECEIVER = """
 17 Status [GNSS]: GNSS:status u16 1
 18 AltMsl [GNSS]: GNSS:altitude_msl f64 m
 """
-REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}
-"""Fields that have more bytes for each count of a byte in them: how many, and the place of that byte."""
+REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}  # bytes for each count of a byte in the field, its place
 GROUP_NAMES = {COMMON: "Common", TIME: "Time", IMU: "Imu", GNSS1: "Gnss1", ATTITUDE: "Attitude", INS: "Ins",
                GNSS2: "Gnss2", GNSS3: "Gnss3"}  # fmt: skip
 _TABLES = {
@@ -349,8 +345,8 @@ class VectorNavDecoder(TableDecoder):
         yield from self._between(found, begin, len(found))
 
     def _between(self, found: Found, begin: int, end: int) -> Layouts:
-        rows = np.arange(begin, end)
-        return ((layout, rows[mine]) for layout, mine in super()._by_layout(found.only(rows)))
+        between = found.only(slice(begin, end))
+        return ((layout, begin + rows) for layout, rows in super()._by_layout(between))
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":

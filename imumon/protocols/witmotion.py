@@ -66,7 +66,8 @@ COMBINED_FORMS = {
 
 def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of 0x61 by where the next one begins."""
-    result, padded = np.full(len(at), NO_PACKET, np.int64), np.pad(held, (0, LONG + 1))
+    result = np.full(len(at), NO_PACKET, np.int64)
+    padded = np.pad(held, (0, LONG + 1))
     for size in (LONG, SHORT):
         result[(padded[at + size] == 0x55) & (padded[at + size + 1] == COMBINED)] = size
     waits = at + LONG + 1 >= len(held)
