@@ -147,7 +147,7 @@ def packets_among(data: bytes, frame: Frame) -> tuple[list[bytes], int]:
 
     A packet that is cut off hides none behind it, as it may be none: an answer would come too late.
     """
-    _, found, done, _ = search([frame], np.frombuffer(data, np.uint8), final=True, done=0)
+    _, found, done, _ = search([frame], np.frombuffer(data, np.uint8), final=True, end=0)
     spans = zip(found.at.tolist(), found.length.tolist(), strict=True)
     return [data[at : at + size] for at, size in spans], done
 

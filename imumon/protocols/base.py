@@ -24,9 +24,9 @@ COMMON = ("arrival_time_ns", "device_ticks", "packet_counter")
 ByteArray = npt.NDArray[np.uint8]
 
 CHUNK = 1 << 16
-"""Bytes that wait at the most until they are searched."""
+"""Bytes that wait at the most until they are searched; assumed."""
 LONGEST_PACKET = 4096
-"""Bytes that a packet may have, so also the most that can be pending."""
+"""Bytes that a packet may have, so also the most that can be pending; assumed."""
 
 
 class Timing(NamedTuple):
@@ -47,12 +47,12 @@ class Groups(NamedTuple):
 
     names: tuple[str, ...]
     """Groups in the order of their bits; the first is `MAIN`."""
-    of_column: Mapping[str, int]
-    """Group of each column; a column that is not here goes with every row of its packet."""
+    number_of: Mapping[str, int]
+    """Number of the group of each column; a column that is not here goes with every row of its packet."""
     apart: tuple[bool, ...]
     """Groups that never join the main stream."""
     layouts: Mapping[str, tuple[int, ...]]
-    """Numbers of the layouts that have each column: columns of the same come together."""
+    """Numbers of the layouts that have each column: columns with the same numbers come together."""
 
     @classmethod
     def of(
@@ -63,13 +63,14 @@ class Groups(NamedTuple):
         `names`: groups that come first, behind the main one; `OTHER`: there is a stream of what has no group.
         `apart`: groups that never join the rows of the main one.
         """
-        of_column, having = dict[str, int](), dict[str, tuple[int, ...]]()
+        number_of, having = dict[str, int](), dict[str, tuple[int, ...]]()
         there = {name: number for number, name in enumerate((MAIN, *names))}
         for number, layout in enumerate(layouts):
             for column, group in layout.items():
-                of_column.setdefault(column, there.setdefault(group, len(there)))
+                # A group may stay without columns, where others had them all before; packets have its bit.
+                number_of.setdefault(column, there.setdefault(group, len(there)))
                 having[column] = (*having.get(column, ()), number)
-        return cls(tuple(there), of_column, tuple(name in apart for name in there), having)
+        return cls(tuple(there), number_of, tuple(name in apart for name in there), having)
 
     def bits(self, groups: Collection[str]) -> int:
         """Return the bits of groups; without any, that of `OTHER`, or else of the main one."""

@@ -17,44 +17,33 @@ from .base import ByteArray
 from .framing import CHECKSUM_NAMES, Checksum, integers, windows
 from .text_proposal import file_head
 
-LEAST_PACKETS = 8
-"""Packets from which a layout is proposed."""
-SHORTEST, LONGEST = 6, 1024
-"""Lengths of packets that are looked for."""
+LEAST_PACKETS = 8  # packets from which a layout is proposed
+SHORTEST, LONGEST = 6, 1024  # lengths of packets that are looked for, bytes
 MOST_BYTES = 1 << 16
-USUAL = 0.1
-"""Share of the distances between sync patterns from which a distance is the length of a packet."""
-CONSTANT = 0.9
-"""Share of the packets in which a byte that is always the same must be so: some are damaged."""
-COVERED = 0.5
-"""Share of the bytes that must be in packets; a damaged sync pattern takes two packets out of the count."""
-COVERED_UNCHECKED = 0.8
-"""The same where no checksum proves the packets."""
+MOST_PAIRS = 64  # most frequent pairs of bytes that are tried as sync patterns; assumed
+USUAL = 0.1  # share of the distances between sync patterns from which a distance is the length of a packet
+CONSTANT = 0.9  # share of the packets in which a byte that is always the same must be so: some are damaged
+COVERED = 0.5  # share of the bytes that must be in packets; a damaged sync pattern takes two out of the count
+COVERED_UNCHECKED = 0.8  # the same where no checksum proves the packets
 RIGHT = 0.3
 LEAST_RIGHT = 5
 """Share and number of packets whose checksum must fit: 0.3 of 120 bytes with 1 % of bytes damaged."""
 TRIED_PACKETS, TRIED_PATTERNS = 24, 8
-FIRSTS = np.arange(9)
-"""Places at which a checksum may begin: it often leaves out the sync pattern."""
-UNITS = {"us": 1e-6, "ms": 1e-3}
-"""Units of a clock of 32 bits; in ns it would wrap after 4 s."""
-LONGEST_SYNC = 4
-"""A constant byte behind these may be a status that changes one day."""
+FIRSTS = np.arange(9)  # places at which a checksum may begin: it often leaves out the sync pattern
+UNITS = {"us": 1e-6, "ms": 1e-3}  # of a clock of 32 bits; in ns it would wrap after 4 s
+LONGEST_SYNC = 4  # a constant byte behind these may be a status that changes one day
 HIGH_BYTES = (0x00, 0xFF)
 """Such a byte behind a sync pattern is more often the high byte of a counter or of a small reading."""
-COUNTS = 0.8
-"""Share of the packets that must count on from the one before."""
-OFF_RATE = 0.4
-"""Largest error of a clock's rate, relative: packets are lost, and the rate is that of a short time."""
+COUNTS = 0.8  # share of the packets that must count on from the one before
+EVEN = 0.2  # largest difference, relative to the median, of a step of a counter or clock; assumed
+OFF_RATE = 0.4  # largest relative error of a clock's rate: packets are lost, and the rate is of a short time
 
 
 class Proposal(NamedTuple):
     """A device file, and how well it is founded; the better of two is the greater."""
 
-    checked: bool
-    """Whether a checksum fits."""
-    covered: float
-    """Share of the bytes that are in packets."""
+    checked: bool  # whether a checksum fits
+    covered: float  # share of the bytes that are in packets
     text: str
 
 
@@ -76,14 +65,14 @@ def propose(data: bytes, seconds: float, baudrate: int | None) -> Proposal | Non
 def _repeating(held: ByteArray) -> list[tuple[IntArray, int]]:
     """Return places of patterns of one or two bytes, and the usual distance between them, the best first."""
     pairs = held[:-1].astype(np.int64) << 8 | held[1:]
-    often = np.argsort(np.bincount(pairs, minlength=1 << 16), kind="stable")[:-65:-1]
+    often = np.argsort(np.bincount(pairs, minlength=1 << 16), kind="stable")[::-1][:MOST_PAIRS]
     places = [np.flatnonzero(pairs == pair) for pair in often]
     best: dict[int, tuple[float, IntArray]] = {}
     for at in (*places, *(np.flatnonzero(held == byte) for byte in range(256))):
         distances = np.diff(at)
         count = np.bincount(distances[distances <= LONGEST], minlength=SHORTEST + 1)
         lengths = np.flatnonzero(count[SHORTEST:] >= max(LEAST_PACKETS, USUAL * len(distances))) + SHORTEST
-        if len(lengths) == 1:
+        if len(lengths) == 1:  # a pattern that is in a packet twice has two usual distances
             length = int(lengths[0])
             covered = float(count[length] * length) / len(held)
             if covered > best.get(length, (COVERED,))[0]:
@@ -125,10 +114,15 @@ def _constant(packets: ByteArray) -> BoolArray:
     return np.asarray(np.mean(packets == np.median(packets, axis=0), axis=0) >= CONSTANT)
 
 
+def _run(constant: BoolArray) -> int:
+    """Return how many bytes are constant from the first on."""
+    return int(np.argmin(np.append(constant, False)))
+
+
 def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int, Checksum | None]:
     """Return where packets begin, from the pattern on, and their checksum, where one fits."""
     constant = _constant(_whole(held, anchors, length)[1])
-    begins = np.flatnonzero(constant & ~np.roll(constant, 1))
+    begins = np.flatnonzero(constant & ~np.roll(constant, 1))  # of runs of constant bytes
     # The high byte of a sum may be constant as well: then the packet begins behind it.
     places = np.append(begins, (begins + 1) % length)
     places = places[constant[places]]
@@ -140,8 +134,8 @@ def _beginning(held: ByteArray, anchors: IntArray, length: int) -> tuple[int, Ch
         fitting += [(right, check.size, shift, check) for right, check in _fitting(packets)]
     if fitting:
         return max(fitting, key=lambda found: found[:2])[2:]
-    # The longest run of constant bytes.
-    return max(shifts, key=lambda s: int(np.argmin(np.append(np.roll(constant, -s), False))), default=0), None
+    longest_run = max(shifts, key=lambda shift: _run(np.roll(constant, -shift)), default=0)
+    return longest_run, None
 
 
 def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
@@ -163,8 +157,9 @@ def _fitting(packets: ByteArray) -> Iterator[tuple[float, Checksum]]:
 
 def _layout(at: IntArray, packets: ByteArray, check: Checksum | None, rate: float) -> Iterator[str]:
     n, length = packets.shape
-    constant, usual = _constant(packets), np.median(packets, axis=0).astype(int)
-    sync = int(np.argmin(np.append(constant[:LONGEST_SYNC], False)))
+    constant = _constant(packets)
+    usual = np.median(packets, axis=0).astype(int)
+    sync = _run(constant[:LONGEST_SYNC])
     if check is not None and 2 <= check.first < sync:
         sync = check.first
     while sync > (1 if check else 2) and usual[sync - 1] in HIGH_BYTES:
@@ -235,9 +230,10 @@ def _steps(
     """
     weights = 256 ** np.arange(size)[:: -1 if order == "big" else 1]
     first, second = (sliding_window_view(x, size, axis=1).astype(np.int64) @ weights for x in (before, after))
-    step = second - first & (1 << 8 * size) - 1
+    step = (second - first) % 256**size
     middle = np.median(step, axis=0)
-    even = np.mean(np.abs(step - middle) <= 0.2 * middle, axis=0) >= COUNTS
+    even = np.mean(np.abs(step - middle) <= EVEN * middle, axis=0) >= COUNTS
     free = ~sliding_window_view(known, size).any(axis=1)
-    is_whole = np.any((step == 1) & (second & 0xFF == 0 if size == 2 else second > 0x7F), axis=0)
+    at_end = second % 256 == 0 if size == 2 else second > 0x7F
+    is_whole = np.any((step == 1) & at_end, axis=0)
     return np.where(even & free, middle, np.nan), is_whole

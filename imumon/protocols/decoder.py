@@ -21,8 +21,7 @@ ONLY_CORRECTED = (
     "MIP's ScaledGyro"
 )
 """Warning of a device, of any family, that sends no rate as it was calibrated in the factory."""
-Layouts = Iterable[tuple[Record, IntArray]]
-"""Layouts, and which packets have each."""
+Layouts = Iterable[tuple[Record, IntArray]]  # layouts, and which packets have each
 
 
 class Decoder:
@@ -35,7 +34,7 @@ class Decoder:
     `groups`: those of all columns that may come, for a protocol that may spread one moment over several
         packets; None where each packet is a row.
     `possible`: all columns that may come.
-    `layouts`: what packets of each kind carry, where their kind alone states it.
+    `layouts`: of each name of the frames, in order, where the kind of a packet alone states what it carries.
     `remarks`: on the device file, for `warnings`.
     """
 
@@ -52,7 +51,8 @@ class Decoder:
         self._frames = tuple(frames)
         self._done: list[Packets] = []
         self._reported = set[str]()
-        self._notices, self._warnings = list[str](), [*remarks]
+        self._notices = list[str]()
+        self._warnings = [*remarks]
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._rest = b""  # searched, and still part of what may become a packet
@@ -142,7 +142,7 @@ class Decoder:
         return Counters(
             bytes_received=self._received,
             bytes_in_packets=self._in_packets,
-            bytes_skipped=self._received - self._in_packets - (len(self._rest) - self._overlap),
+            bytes_skipped=self._received - self._in_packets - (len(self._rest) - self._overlap),  # pending
             packets=int(self._by_kind.sum()),
             checksum_errors=self._checksum_errors,
             length_errors=self._length_errors,
@@ -183,7 +183,7 @@ class Decoder:
 
     def _count(self, found: Found, tried: Found, rest: int) -> None:
         """Count the packets, their bytes once each, and the errors outside of them."""
-        # Where each packet ends, and before them the one of the last search: so k is the one before packet k.
+        # The first is of the last packet of the search before: so ends[k] is the end of the one before k.
         ends = np.append(self._overlap, found.at + found.length)
         self._in_packets += int(np.sum(ends[1:] - np.maximum(found.at, ends[:-1])))
         self._by_kind += np.bincount(found.kind, minlength=len(self._names))
@@ -211,7 +211,7 @@ class Decoder:
         for layout, mine in parts:
             my_rows, values = np.searchsorted(rows, mine), layout.read(found.only(mine))
             if self.groups is not None:
-                groups[my_rows] = self.groups.bits({*layout.of_column.values()})
+                groups[my_rows] = self.groups.bits({*layout.group_of.values()})
             for column in layout.columns:
                 self._columns.setdefault(column.name, column)
                 if len(mine) == len(rows):

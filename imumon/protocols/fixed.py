@@ -269,9 +269,9 @@ def fixed_decoder(name: str, packets: Sequence[Packet]) -> Decoder:
     frames = [
         Frame({bytes(x.sync): x.name or name}, partial(_length, x), x.check, bytes(x.tail)) for x in packets
     ]
-    timing = timing_of([field for packet in packets[::-1] for field in packet.fields])  # the first's
+    timing = timing_of([field for packet in packets[::-1] for field in packet.fields])  # the first one's
     layouts = [Record(packet.numbers) for packet in packets]
-    groups = Groups.of([layout.of_column for layout in layouts]) if len(packets) > 1 else None
+    groups = Groups.of([layout.group_of for layout in layouts]) if len(packets) > 1 else None
     return Decoder(frames, timing, groups, layouts=layouts, remarks=[*_overlaps(packets)])
 
 

@@ -10,7 +10,7 @@ next to nothing, and what is found does not depend on how the stream was cut.
 How damage is survived: after a bad checksum or an impossible length the search goes on at the next byte.  A
 damaged packet that lost bytes and passes its check all the same (one in 256 with a sum of eight bits) ends
 inside the next.  So where no sync pattern follows an accepted packet, a valid one that begins inside it and
-ends behind it is accepted, too; bytes count once.  Not so inside a packet that has no checksum.
+ends behind it is accepted, too; bytes count once.  In one without a checksum nothing proves which is right.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +30,7 @@ INCOMPLETE, NO_PACKET, IMPOSSIBLE, BAD_SUM = -1, -2, -3, -4
 """Instead of a length: more bytes must come; nothing of this kind; errors: no such length, wrong checksum."""
 
 Lengths = Callable[[ByteArray, IntArray], IntArray]
-"""Takes the bytes and places of sync patterns, (n,); returns the whole length or one of the codes, (n,)."""
+"""Takes the bytes and places of sync patterns, (n,); returns new whole lengths, or codes, (n,)."""
 Check = Callable[[ByteArray, IntArray, IntArray], BoolArray]
 """Takes the bytes, places and lengths of whole packets, (n,) each; returns which are right."""
 
@@ -41,11 +41,9 @@ class Frame:
 
     names: Mapping[bytes, str]
     """Sync patterns, all of the same 1 to 8 bytes, and what the counters call packets that begin so."""
-    lengths: Lengths | int  # or that of all packets
-    check: Check | None = None
-    """See `Check`; None: every packet is believed."""
-    tail: bytes = b""
-    """What may or may not follow a packet, and belongs to it."""
+    lengths: Lengths | int  # a number: all packets have this length
+    check: Check | None = None  # None: every packet is believed
+    tail: bytes = b""  # what may or may not follow a packet, and belongs to it
     fits: Check | None = None
     """Tests whether what is in packets with a right checksum can be of this kind."""
 
@@ -57,7 +55,8 @@ class Frame:
         size = len(next(iter(self.names)))
         first_bytes = {name[0] for name in self.names}
         begins = np.flatnonzero(reduce(or_, [held == byte for byte in first_bytes]))
-        at, cut = np.split(begins, [np.searchsorted(begins, len(held) - size, "right")])
+        has_all = begins <= len(held) - size
+        at, cut = begins[has_all], begins[~has_all]
         kind = np.full(len(at), -1)
         sync = integers(held, at, size)
         for k, name in enumerate(self.names):
@@ -108,7 +107,7 @@ class Found:
     def __len__(self) -> int:
         return len(self.at)
 
-    def only(self, rows: IntArray | BoolArray) -> "Found":
+    def only(self, rows: IntArray | BoolArray | slice) -> "Found":
         """Return some of the packets."""
         return Found(self.held, self.at[rows], self.length[rows], self.kind[rows])
 
@@ -143,7 +142,8 @@ def candidates(frames: Sequence[Frame], held: ByteArray, final: bool) -> Found:
 
     The first frame counts that finds a packet there; or that may still find one, when more bytes come.
     """
-    of_frames, kinds_before = [], 0
+    of_frames = []
+    kinds_before = 0
     for frame in frames:
         at, length, kind = frame.candidates(held, final)
         of_frames.append((at, length, kinds_before + kind))
@@ -157,16 +157,17 @@ def candidates(frames: Sequence[Frame], held: ByteArray, final: bool) -> Found:
     return found.only(order[is_first])
 
 
-def search(frames: Sequence[Frame], held: ByteArray, final: bool, done: int) -> tuple[Found, Found, int, int]:
-    """Return the candidates, the packets among them, where the rest begins, and how much of it is taken.
+def search(frames: Sequence[Frame], held: ByteArray, final: bool, end: int) -> tuple[Found, Found, int, int]:
+    """Return the candidates, the packets among them, where the rest begins, and where the last ends in it.
 
     The rest, which more bytes may make a packet, begins with a candidate that is not complete; at the end of
-    the data (`final`) only where no packet follows.  What is taken of it is `done` in the next search.
+    the data (`final`) only where no packet follows.  `end`: where the last packet of the search before ends.
     """
     tried = candidates(frames, held, final)
     is_checked = [frame.check is not None for frame in frames for _ in frame.names]
     is_sync = np.zeros(len(held) + 1, np.bool_)
     is_sync[tried.at] = True
+    # What is a packet, or may still become one.
     hopeful = np.flatnonzero((tried.length > 0) | (tried.length == INCOMPLETE))
     at, lengths = tried.at[hopeful], tried.length[hopeful]
     # Most packets stand one directly behind the other: such a run is taken at once.
@@ -175,37 +176,35 @@ def search(frames: Sequence[Frame], held: ByteArray, final: bool, done: int) -> 
     last_of_run = run_ends[np.searchsorted(run_ends, np.arange(len(at)))]
     runs: list[IntArray] = [hopeful[:0]]
     k, rest = 0, len(held)
-    may_lack_bytes = True  # of the packet that ends at `done`; that of an earlier search had a checksum
+    has_check = True  # the last packet; only one with a checksum ends behind the beginning of a rest
     while k < len(at):
         start, length = int(at[k]), int(lengths[k])
-        is_believed = is_sync[done] or not may_lack_bytes
-        if start < done and (is_believed or 0 < length <= done - start):
-            k += 1  # a part of the packet that ends at `done`
+        may_lack_bytes = has_check and not is_sync[end]
+        if start < end and (not may_lack_bytes or 0 < length <= end - start):
+            k += 1  # a part of the last packet
         elif length > 0:
             last = int(last_of_run[k])
             runs.append(hopeful[k : last + 1])
-            done = int(at[last] + lengths[last])
-            may_lack_bytes = is_checked[tried.kind[hopeful[last]]]
+            end = int(at[last] + lengths[last])
+            has_check = is_checked[tried.kind[hopeful[last]]]
             k, rest = last + 1, len(held)
         elif not final:
             rest = start
             break
         else:  # passed over
-            if start >= done:
+            if start >= end:
                 rest = min(rest, start)
             k += 1
-    return tried, tried.only(np.concatenate(runs)), rest, max(done - rest, 0)
+    return tried, tried.only(np.concatenate(runs)), rest, max(end - rest, 0)
 
 
-def counted_length(offset: int, size: int, overhead: int, longest: int) -> Lengths:
-    """Return the `Lengths` of packets that state how many bytes they have besides `overhead`, low byte first.
+def counted_lengths(
+    offset: int, size: int, overhead: int, longest: int, held: ByteArray, at: IntArray
+) -> IntArray:
+    """Return the lengths of packets that state how many bytes they have besides `overhead`; see `Lengths`.
 
-    `offset`, `size`: place and bytes of the number.  `longest`: longest packet that is believed.
+    `offset`, `size`: place and bytes of the number, low byte first.  `longest`: packet that is believed.
     """
-    return partial(_counted, offset, size, overhead, longest)
-
-
-def _counted(offset: int, size: int, overhead: int, longest: int, held: ByteArray, at: IntArray) -> IntArray:
     result = np.full_like(at, INCOMPLETE)
     there = np.flatnonzero(at + offset + size <= len(held))
     stated = overhead + integers(held, at[there] + offset, size)
@@ -216,10 +215,10 @@ def _counted(offset: int, size: int, overhead: int, longest: int, held: ByteArra
 class Crc(NamedTuple):
     """A cyclic redundancy check in the terms of Greg Cook's catalogue (reveng.sourceforge.io)."""
 
-    width: int
+    width: int  # bits, 16 or 32
     polynomial: int
     initial: int
-    reflected: bool
+    reflected: bool  # input and output
     final_xor: int
 
 
@@ -241,7 +240,7 @@ CRCS = {
 
 
 def _total(data: ByteArray, weights: npt.ArrayLike = 1) -> IntArray:
-    """Return the sum of each row times weights: exact in float64, and five times as fast."""
+    """Return the sum of each row times weights: exact in float64, and five times as fast as in integers."""
     real = data.astype(np.float64)
     return (real @ np.broadcast_to(weights, data.shape[1]).astype(np.float64)).astype(np.int64)
 
@@ -285,8 +284,7 @@ class Checksum:
 
     name: str
     first: int = 0
-    big: bool = False
-    """Whether the most significant byte comes first."""
+    big: bool = False  # whether the most significant byte comes first
     zeros: int = 0
     end: int | None = None
     at: int | None = None
@@ -306,16 +304,15 @@ class Checksum:
             if self.name in SUMS:
                 found[which] = SUMS[self.name][1](data)
                 continue
-            # CRCs are linear: each byte adds what its value and its distance to the end give.
             zeros = self.zeros + (-size % self.align)
             covered = size + zeros
-            table, empty = by_distance(CRCS[self.name], 1 << covered.bit_length())  # so there are few tables
+            table, empty = by_distance(CRCS[self.name], 1 << covered.bit_length())  # a power of 2: few tables
             distance = np.arange(covered - 1, zeros - 1, -1, dtype=np.int32)
             found[which] = np.bitwise_xor.reduce(table.take(data + 256 * distance), axis=1) ^ empty[covered]
         return found & ((1 << 8 * self.size) - 1)
 
     def __call__(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-        """Tell which packets are right; see `Check`."""
+        """Return which packets are right; see `Check`."""
         place = length - self.size if self.at is None else self.at
         computed = self.values(held, at + self.first, at + (place if self.end is None else self.end))
         return np.asarray(computed == integers(held, at + place, self.size, self.big))
@@ -325,13 +322,14 @@ class Checksum:
         return self.sealed_rows(np.frombuffer(body, np.uint8)[None]).tobytes()
 
     def sealed_rows(self, bodies: ByteArray) -> ByteArray:
-        """Return packets of bodies of one size, (n, size), with their checksums behind them or in place."""
+        """Return packets of bodies of one size, (n, size), with their checksums at `at` or behind them."""
         n, size = bodies.shape
         begin = np.arange(n) * size
-        sums = self.values(bodies.reshape(-1), begin + self.first, begin + (self.end or size))
+        at = size if self.at is None else self.at
+        end = at if self.end is None else self.end
+        sums = self.values(bodies.reshape(-1), begin + self.first, begin + end)
         most_first = sums.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - self.size :]
         stored = most_first if self.big else most_first[:, ::-1]
-        at = size if self.at is None else self.at
         return np.concatenate([bodies[:, :at], stored, bodies[:, at + self.size :]], axis=1)
 
 
@@ -339,9 +337,10 @@ class Checksum:
 def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
     """Return what a byte adds to the CRC by its distance to the end and its value, and the CRC of zeros.
 
-    Shapes: ((longest + 1) * 256,), distance first, and (longest + 1,).
+    Shapes: ((longest + 1) * 256,), distance first, and (longest + 1,).  A CRC is linear: that of any bytes is
+    the CRC of as many zeros, XOR what each byte adds.
     """
-    top, mask = crc.width - 1, (1 << crc.width) - 1
+    mask = (1 << crc.width) - 1
     polynomial, initial = crc.polynomial, crc.initial
     if crc.reflected:
         polynomial, initial = (int(f"{n:0{crc.width}b}"[::-1], 2) for n in (polynomial, initial))
@@ -350,8 +349,9 @@ def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
         if crc.reflected:
             step = (step >> 1) ^ np.where(step & 1, polynomial, 0)
         else:
-            step = ((step << 1) & mask) ^ np.where(step >> top & 1, polynomial, 0)
+            step = ((step << 1) & mask) ^ np.where(step >> (crc.width - 1), polynomial, 0)
 
+    # A column for each value of a byte, and the last one for the register that only zeros come into.
     rows = np.empty((longest + 1, 257), np.uint16 if crc.width == 16 else np.uint32)
     rows[0] = np.append(step, initial)
     for k in range(longest):  # the next row is for one more byte, which is zero
@@ -359,5 +359,5 @@ def by_distance(crc: Crc, longest: int) -> tuple[IntArray, IntArray]:
         if crc.reflected:
             rows[k + 1] = (register >> 8) ^ step[register & 0xFF]
         else:
-            rows[k + 1] = ((register << 8) & mask) ^ step[register >> crc.width - 8]
+            rows[k + 1] = ((register << 8) & mask) ^ step[register >> (crc.width - 8)]
     return rows[:, :256].reshape(-1), rows[:, 256] ^ crc.final_xor

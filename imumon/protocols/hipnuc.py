@@ -6,6 +6,7 @@ Facts from the vendor's drivers.  0x83 lists the fields that follow by the bits 
 
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 from itertools import takewhile
 
 import numpy as np
@@ -13,11 +14,11 @@ import numpy as np
 from imumon.blocks import BoolArray, IntArray
 
 from .base import ByteArray, Timing
-from .framing import Checksum, Frame, counted_length, windows
+from .framing import Checksum, Frame, counted_lengths, windows
 from .messages import FamilyDecoder, Message, part, table
 
 SYNC = b"\x5a\xa5"
-HEADER, LONGEST = 6, 512 + 6
+HEADER, LONGEST = 6, 512 + 6  # bytes of the header, and of a frame that is believed; the latter assumed
 OF_BITS = 0x83
 
 _INS = "1 | status u16 | ins_status u8 1 status of the filter"
@@ -32,9 +33,7 @@ PACKETS = table(f"""
 """)
 """Packets with one layout, by their tag."""
 
-_SHIP = ("heave", "surge", "sway")
-_PLACE = {"longitude": "deg", "latitude": "deg", "altitude": "m"}
-BITS = table(f"""
+BITS = table("""
 0 accel: accel f32
 1 gyro: gyro f32*deg
 2 mag: mag f32
@@ -45,17 +44,21 @@ BITS = table(f"""
 7 pressure: pressure f32
 8 temperature: temperature f32
 9 inclination: inclination_xyz f32 deg of the axis
-10 displacement: {" | ".join(f"{name} f32 m {name}: displacement" for name in _SHIP)}
-11 frequency: {" | ".join(f"{name}_frequency f32 Hz {name}: frequency" for name in _SHIP)}
+10 displacement: heave f32 m heave: displacement | surge f32 m surge: displacement
+  | sway f32 m sway: displacement
+11 frequency: heave_frequency f32 Hz heave: frequency | surge_frequency f32 Hz surge: frequency
+  | sway_frequency f32 Hz sway: frequency
 12 velocity: velocity_enu_xyz f32 m/s velocity east, north, up
 13 free: free_accel_enu_xyz f32 m/s^2 acceleration without gravity, east, north, up
 14 place: longitude f64 | latitude f64 | altitude f64
-15 quality: {" | ".join(f"quality_{k} u8 1 quality of the solution" for k in range(4))}
+15 quality: quality_0 u8 1 quality of the solution | quality_1 u8 1 quality of the solution
+  | quality_2 u8 1 quality of the solution | quality_3 u8 1 quality of the solution
 16 odometer: odometer_speed f32 m/s of the odometer
 17 undulation: undulation f32 m of the geoid
 18 correction: correction_age f32 s of differential corrections
 19 node: node u8 1 number of the node | 3
-30 receiver: {" | ".join(f"gnss_{name} f64 {unit} of the receiver" for name, unit in _PLACE.items())}
+30 receiver: gnss_longitude f64 deg of the receiver | gnss_latitude f64 deg of the receiver
+  | gnss_altitude f64 m of the receiver
 31 moving: gnss_velocity_xyz f32 m/s of the receiver
 """)
 """Fields of 0x83.
@@ -71,8 +74,7 @@ def of_bits(bits: int) -> Message:
     return Message(f"imu83:{bits:#x}", (*HEAD, *(number for bit in there for number in BITS[bit].numbers)))
 
 
-_XMODEM = Checksum("crc16-xmodem")
-"""The CRC stands in the header: as if it stood behind the payload."""
+_XMODEM = Checksum("crc16-xmodem")  # the CRC stands in the header: as if it stood behind the payload
 
 
 def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
@@ -88,7 +90,7 @@ class HipnucDecoder(FamilyDecoder):
     """Decodes the first packet of each frame: devices send one."""
 
     messages = PACKETS | {OF_BITS: of_bits(sum(1 << bit for bit in BITS))}
-    frames = (Frame({SYNC: "HiPNUC"}, counted_length(2, 2, HEADER, LONGEST), _right),)
+    frames = (Frame({SYNC: "HiPNUC"}, partial(counted_lengths, 2, 2, HEADER, LONGEST), _right),)
     timing = Timing(tick_ns=Fraction(1000))
     start, overhead = HEADER, HEADER
 

@@ -5,28 +5,30 @@ rates of its own.  PIMU carries increments, with the time over which they were s
 """
 
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
-from imumon.blocks import ColumnArray
+from imumon.blocks import ColumnArray, Columns
 
 from .base import LONGEST_PACKET, Timing
-from .framing import Checksum, Frame, counted_length
+from .framing import Checksum, Frame, counted_lengths
 from .messages import FamilyDecoder, table
-from .numbers import Columns, Derived, known
+from .numbers import Derived, known
 
 SYNC = b"\xef\x49"
-HEADER, AROUND = 6, 8
+HEADER, AROUND = 6, 8  # bytes before the payload, and of the packet besides the payload
 FLETCHER = Checksum("fletcher16-256")
-DATA, SET_DATA, WITH_OFFSET = 4, 5, 0x20
+DATA, SET_DATA = 4, 5  # types of packets
+WITH_OFFSET = 0x20  # bit of one that has a part of a data set
 USUAL_S = 0.004
-"""Time over which a virtual device sums increments where it is not stated, s."""
+"""Time over which a virtual device sums increments where it is not stated, s.  Assumed."""
 
 INCREMENTS = (
-    *("delta_time", "delta_theta_x", "delta_theta_y", "delta_theta_z"),
-    *("delta_velocity_x", "delta_velocity_y", "delta_velocity_z"),
-)
-RATES = known("gyro", "accel")
+    "delta_time", "delta_theta_x", "delta_theta_y", "delta_theta_z",
+    "delta_velocity_x", "delta_velocity_y", "delta_velocity_z",
+)  # fmt: skip
+RATES = known("gyro", "accel")  # in the order of the increments
 
 
 def _mean_rates(columns: Columns) -> list[ColumnArray]:
@@ -57,14 +59,13 @@ DATA_SETS = table(f"""
 4 ins_1 [filter]: {_FILTER} | angles f32 | {_MOVES} | 12
 5 ins_2 [filter]: {_FILTER} | q f32 | {_MOVES}
 """)
-"""Data sets by their identifier."""
 
 
 class InertialSenseDecoder(FamilyDecoder):
     """Decodes data sets that come whole; other packets are counted."""
 
     messages = DATA_SETS
-    frames = (Frame({SYNC: "ISB"}, counted_length(4, 2, AROUND, LONGEST_PACKET), FLETCHER),)
+    frames = (Frame({SYNC: "ISB"}, partial(counted_lengths, 4, 2, AROUND, LONGEST_PACKET), FLETCHER),)
     timing = Timing(tick_ns=Fraction(1))
     start, overhead, head = HEADER, AROUND, (2, 3)
     derived = (Derived(INCREMENTS, RATES, _mean_rates, _with_increments),)

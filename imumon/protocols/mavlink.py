@@ -12,22 +12,23 @@ from functools import partial
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, IntArray
+from imumon.blocks import BoolArray, ColumnArray, Columns, IntArray
 
 from .base import ByteArray, Timing
 from .decoder import Layouts
 from .framing import CRCS, IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, by_distance, integers, windows
 from .messages import FamilyDecoder, table
-from .numbers import Columns, Derived, known
+from .numbers import Derived, known
 
-FIRST, SECOND = b"\xfe", b"\xfd"
+SECOND = b"\xfd"  # first byte of a message of version 2
 FIRST_HEADER, SECOND_HEADER = 6, 10
-HEADERS = {FIRST: FIRST_HEADER, SECOND: SECOND_HEADER}
+HEADERS = {b"\xfe": FIRST_HEADER, SECOND: SECOND_HEADER}
+NUMBER_SIZES = {FIRST_HEADER: 1, SECOND_HEADER: 3}  # bytes of the message's number, which ends the header
+VEHICLE_AT, NUMBER_AT = 5, 7  # in version 2: number and component of the sender, number of the message
 SIGNATURE = 13
 SIGNED = 1
 COARSE = "rates of SCALED_IMU and RAW_IMU have steps of 206 deg/h; finer: HIGHRES_IMU, but PX4 corrects it"
-LONGEST = 64
-"""Bytes of the longest payload in the table, with its extensions."""
+LONGEST = 64  # bytes of the longest payload in the table, with its extensions
 
 
 def _to_celsius(columns: Columns) -> list[ColumnArray]:
@@ -44,14 +45,14 @@ _VECTORS = "accel i16*g/1000 | gyro i16*0.001 | mag i16*gauss/1000"
 _CELSIUS = "_hundredths i16 1 temperature, 0 when there is none"
 _FILTER = "gyro_compensated_xyz f32 rad/s angular rate less the filter's bias"
 MESSAGES = table(f"""
-105 highres_imu >=1: device_ticks u64 | accel f32 | gyro f32 | mag f32*gauss | pressure f32*hPa | 4
+105 highres_imu: device_ticks u64 | accel f32 | gyro f32 | mag f32*gauss | pressure f32*hPa | 4
   | pressure_altitude f32 m from the pressure | temperature f32 | updated u16 1 which values are new, bits | 1
-26 scaled_imu >=1: device_ticks u32*1000 | {_VECTORS} | {_CELSIUS}
-27 raw_imu >=1: device_ticks u64 | {_VECTORS} | 1 | {_CELSIUS}
-29 scaled_pressure [pressure] >=1: device_ticks u32*1000 | pressure f32*hPa | 8
-30 attitude [attitude] >=1: device_ticks u32*1000 | angles f32 | {_FILTER}
-31 attitude_quaternion [attitude] >=1: device_ticks u32*1000 | q f32 | {_FILTER}
-0 heartbeat [vehicle] >=1: vehicle_mode u32 1 mode of the vehicle | 5
+26 scaled_imu: device_ticks u32*1000 | {_VECTORS} | {_CELSIUS}
+27 raw_imu: device_ticks u64 | {_VECTORS} | 1 | {_CELSIUS}
+29 scaled_pressure [pressure]: device_ticks u32*1000 | pressure f32*hPa | 8
+30 attitude [attitude]: device_ticks u32*1000 | angles f32 | {_FILTER}
+31 attitude_quaternion [attitude]: device_ticks u32*1000 | q f32 | {_FILTER}
+0 heartbeat [vehicle]: vehicle_mode u32 1 mode of the vehicle | 5
 """)
 """Messages by their number; the second and third sensors (116, 129) are only counted."""
 OF_VEHICLE = (*(MESSAGES.keys() - {0}),)
@@ -62,13 +63,12 @@ EXTRA = {0: 50, 2: 137, 26: 170, 27: 144, 29: 115, 30: 39, 31: 246, 105: 93, 107
 EXTRAS = np.zeros(256, np.int64)
 EXTRAS[[*EXTRA]] = [*EXTRA.values()]
 _CRC = Checksum("crc16-mcrf4xx")
-_OF_LAST_BYTE = by_distance(CRCS["crc16-mcrf4xx"], 1)[0]
-"""What the last byte adds to the CRC, by its value."""
+_OF_LAST_BYTE = by_distance(CRCS["crc16-mcrf4xx"], 1)[0]  # distance 0 first: what the last byte adds
 _BEFORE_EXTRA = Checksum("crc16-mcrf4xx", zeros=1)
 
 
 def _number(held: ByteArray, at: IntArray, header: int) -> IntArray:
-    size = 1 if header == FIRST_HEADER else 3
+    size = NUMBER_SIZES[header]
     return integers(held, at + header - size, size)
 
 
@@ -88,7 +88,8 @@ def _length(header: int, held: ByteArray, at: IntArray) -> IntArray:
 
 def _right(header: int, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     signature = SIGNATURE * (held[at + 2] & SIGNED) if header == SECOND_HEADER else 0
-    end, extra = at + length - signature, EXTRAS[_number(held, at, header)]
+    end = at + length - signature
+    extra = EXTRAS[_number(held, at, header)]
     # The CRC is linear: that of a zero in the place of the extra byte, and what this adds.
     crc = _BEFORE_EXTRA.values(held, at + 1, end - 2) ^ _OF_LAST_BYTE[extra]
     return np.asarray(crc == integers(held, end - 2, 2))
@@ -103,7 +104,7 @@ class MavlinkDecoder(FamilyDecoder):
         for k, (sync, header) in enumerate(HEADERS.items())
     )
     timing = Timing(tick_ns=Fraction(1000))
-    start, overhead, head = SECOND_HEADER, SECOND_HEADER, (7, 8, 9)
+    start, overhead, head = SECOND_HEADER, SECOND_HEADER, range(NUMBER_AT, SECOND_HEADER)
     derived = (Derived(("_hundredths",), known("temperature"), _to_celsius, _of_celsius),)
     _vehicle = -1  # component << 8 | number of the vehicle that is read
 
@@ -116,31 +117,37 @@ class MavlinkDecoder(FamilyDecoder):
     def _plain(self, found: Found) -> Found:
         """Return the messages as those of version 2 with all their zeros."""
         size = SECOND_HEADER + LONGEST
-        held, padded = np.zeros((len(found), size), np.uint8), np.pad(found.held, (0, LONGEST))
+        held = np.zeros((len(found), size), np.uint8)
+        padded = np.pad(found.held, (0, LONGEST))
         for kind, header in enumerate(HEADERS.values()):
             rows = np.flatnonzero(found.kind == kind)
             at = found.at[rows]
-            numbers = 1 if header == FIRST_HEADER else 3
-            held[rows, 5 : 7 + numbers] = windows(found.held, at + header - numbers - 2, 2 + numbers)
+            size_of_both = 2 + NUMBER_SIZES[header]  # vehicle and number
+            both = windows(found.held, at + header - size_of_both, size_of_both)
+            held[rows, VEHICLE_AT : VEHICLE_AT + size_of_both] = both
             there = np.arange(LONGEST) < found.held[at + 1][:, None]
             held[rows, SECOND_HEADER:] = windows(padded, at + header, LONGEST) * there
         begins = np.arange(len(found)) * size
         return Found(held.reshape(-1), begins, np.full(len(found), size), found.kind)
 
     def _key(self, packet: bytes) -> int:
-        key = int.from_bytes(packet[7:10], "little")
+        key = int.from_bytes(packet[NUMBER_AT:SECOND_HEADER], "little")
         if key in (26, 27):
             self._report(COARSE, is_warning=True)
         return key
 
     def _by_layout(self, found: Found) -> Layouts:
-        vehicle, first = integers(found.held, found.at + 5, 2), 0
+        vehicle = integers(found.held, found.at + VEHICLE_AT, 2)
+        first = 0
         if self._vehicle < 0:
-            of_vehicle = np.isin(integers(found.held, found.at + 7, 3), OF_VEHICLE)
-            first = int(np.argmax(np.append(of_vehicle, True)))
-            self._vehicle = int(np.append(vehicle, -1)[first])
+            number = _number(found.held, found.at, SECOND_HEADER)
+            of_vehicle = np.flatnonzero(np.isin(number, OF_VEHICLE))
+            if not len(of_vehicle):
+                return ()
+            first = int(of_vehicle[0])
+            self._vehicle = int(vehicle[first])
         mine = first + np.flatnonzero(vehicle[first:] == self._vehicle)
         if len(mine) < len(found) - first:
-            component, number = divmod(self._vehicle, 256)
-            self._report(f"only vehicle {number}, component {component} is read of several")
+            component, system = divmod(self._vehicle, 256)
+            self._report(f"only vehicle {system}, component {component} is read of several")
         return ((layout, mine[rows]) for layout, rows in super()._by_layout(found.only(mine)))

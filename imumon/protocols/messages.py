@@ -40,16 +40,17 @@ FACTORS = {
 """Factors to the units of imumon: from deg to rad, g to m/s^2, gauss to uT, kPa and hPa to Pa; and pi."""
 AXES = {"xyz": "xyz", "wxyz": "wxyz", "3x3": [f"{i}{j}" for i in "123" for j in "123"]}
 """Ends of the columns of a vector, a quaternion, a matrix."""
+# KEY NAME [GROUP] >=LEAST: NUMBERS
 _ROW = re.compile(r"(\S+) (\S+)(?: \[(\w*)\])?(?: >=(\d+))?:\s+(.*)", re.DOTALL)
 
 
 def part(text: str) -> Part:
     """Read numbers that stand one behind the other, with bars between them; they are not placed yet.
 
-    - ``gyro i16*deg/16``: a canonical column, or several that come together; type of the numbers, and what
-      they are times, and plus
+    - ``gyro i16*deg/16``: a canonical column, or several that come together; the type of the numbers, their
+      factors (`FACTORS` or numbers) and an offset, as in ``u8+2000``
     - ``ned_xyz f32 m/s velocity north, east, down``: columns of its own, with their unit and meaning;
-      integers stay integers where the factor is a whole number (*1.0 is none)
+      integers stay integers with whole factors, as ``*2``; ``*1.0`` makes them real numbers
     - ``gnss:latitude,longitude f64 deg``: columns of a receiver
     - ``12``: so many bytes that are passed over
     """
@@ -116,14 +117,10 @@ def table(text: str, usual: str = MAIN) -> dict[int, "Message"]:
 class Message:
     """What packets with one identifier carry, or a field of a packet."""
 
-    name: str
-    """What the device file and the counters call it."""
+    name: str  # what the device file and the counters call it
     numbers: Part
-    """Its numbers, which stand one behind the other."""
-    group: str = MAIN
-    """Group of its columns; times and counters have none."""
-    least: int = 0
-    """Bytes of the shortest payload that is read; `size` when 0."""
+    group: str = MAIN  # of its columns; times and counters have none
+    least: int = 0  # bytes of the shortest payload that is read; 0: `size`
 
     @cached_property
     def size(self) -> int:
@@ -144,8 +141,7 @@ class Message:
         return [number for number in numbers if number.end <= start + size]
 
 
-Placed = list[tuple[Message, int, int]]
-"""Messages in a packet, where each begins, and its size."""
+Placed = list[tuple[Message, int, int]]  # messages in a packet, where each begins, and its size
 Signature = tuple[int, int, bytes]
 """Kind and length of a packet, and the bytes that identify what is in it."""
 
@@ -154,18 +150,13 @@ class TableDecoder(Decoder):
     """Decodes packets that hold messages of a table; a subclass is the table of a family."""
 
     frames: Sequence[Frame]
-    """Kinds of packets."""
     timing: Timing
-    """How the devices count time."""
-    messages: Mapping[Any, Message]
-    """All that may come, by what identifies it."""
+    messages: Mapping[Any, Message]  # all that may come, by what identifies it
     derived: Sequence[Derived] = ()
-    """Columns that are computed."""
-    names: Sequence[str] = ()
+    side_groups: Sequence[str] = ()
     apart: Sequence[str] = ()
     """Groups that come first behind the main one, and those that never join its rows; see `Groups.of`."""
-    big: bool = False
-    """Whether the most significant byte comes first."""
+    big: bool = False  # whether the most significant byte comes first
 
     def __init__(self) -> None:
         self._layouts: dict[Signature, Record | None] = {}
@@ -173,7 +164,7 @@ class TableDecoder(Decoder):
             Record(message.placed(0, message.size, self.big), self.derived)
             for message in self.messages.values()
         ]
-        groups = Groups.of([layout.of_column for layout in every], self.names, self.apart)
+        groups = Groups.of([layout.group_of for layout in every], self.side_groups, self.apart)
         possible = [column for layout in every for column in layout.columns]
         super().__init__(self.frames, self.timing, groups, possible)
 
@@ -236,9 +227,8 @@ class TableDecoder(Decoder):
 class FamilyDecoder(TableDecoder):
     """Decodes packets that are each a message of a table."""
 
-    start: int
-    overhead: int
-    """Bytes before the payload; bytes of the packet besides the payload."""
+    start: int  # bytes before the payload
+    overhead: int  # bytes of the packet besides the payload
     head: Sequence[int]
     """Places of the bytes that identify what a packet carries."""
 
@@ -248,17 +238,17 @@ class FamilyDecoder(TableDecoder):
 
     @abstractmethod
     def _key(self, packet: bytes) -> int:
-        """Return the identifier of a packet; what is not in the table is only counted."""
+        """Return the identifier of a packet, called once a signature; what is in no table is counted."""
 
     def _message(self, key: int) -> Message | None:
         return self.messages.get(key)
 
-    def _signature(self, packet: bytes) -> Sequence[int]:
-        del packet
+    def _signature(self, _packet: bytes) -> Sequence[int]:
         return self.head
 
     def _contents(self, packet: bytes) -> Placed:
-        message, size = self._message(self._key(packet)), len(packet) - self.overhead
+        message = self._message(self._key(packet))
+        size = len(packet) - self.overhead
         if message is None or size < (message.least or message.size):
             return []
         return [(message, self.start, min(size, message.size))]

@@ -11,11 +11,11 @@ from typing import Literal
 
 import numpy as np
 
-from imumon.blocks import NO_INT, ColumnArray
+from imumon.blocks import NO_INT, ColumnArray, Columns
 
 from .base import NO_GROUP, Encoder, Timing, chosen
 from .messages import Message, TableDevice, table
-from .numbers import FROM_MATRIX, Columns, Derived, known
+from .numbers import FROM_MATRIX, Derived, known
 from .tagged import MIP, TaggedDecoder
 
 SENSOR, FILTER = 0x80, 0x82
@@ -53,7 +53,7 @@ _ESTIMATED = """
 22 00 DensityAltitude density_altitude f32 m altitude of the density
 47 48 OdometerScale odometer_scale_error f32 1 estimated scale error of the odometer
 """
-"""Code, code of the uncertainty (0: none), name, column with its axes, type, unit and meaning."""
+"""Code, code of the uncertainty (00: none), name, column with its axes, type, unit and meaning."""
 
 
 def _estimated() -> Iterator[str]:
@@ -61,12 +61,12 @@ def _estimated() -> Iterator[str]:
     for row in _ESTIMATED.strip().splitlines():
         code, sigma, name, column, kind, unit, what = row.split(maxsplit=6)
         stem, _, axes = column.partition(".")
-        for at, more, end, of in ((code, "", "", ""), (sigma, "Sigma", "_sigma", "uncertainty of: ")):
-            if at != "00":
-                own = f"{stem}{end}"
+        uncertainty = (sigma, f"{name}Sigma", f"{stem}_sigma", f"uncertainty of: {what}")
+        for field, title, own, meaning in ((code, name, stem, what), uncertainty):
+            if field != "00":
                 values = f"{own}_{axes}".rstrip("_")
                 valid = f"{own}_valid u16 1 validity of {own.replace('_', ' ')}"
-                yield f"0x{at} {name}{more}: {values} {kind} {unit} {of}{what} | {valid}\n"
+                yield f"0x{field} {title}: {values} {kind} {unit} {meaning} | {valid}\n"
 
 
 _FILTER = """
@@ -173,7 +173,7 @@ def _attitude(is_canonical: bool, prefix: str, whose: str, more: str) -> dict[st
         return {"q": "q f32", "angles": "angles f32", "matrix": matrix}
     angles = (f"{prefix}_{name} f32 rad {name} of another filter" for name in ("roll", "pitch", "yaw"))
     q = f"{prefix}_q_wxyz f32 1 attitude of the {whose}"
-    return {"q": q, "angles": " | ".join(angles), "matrix": "38" if more else "36"}
+    return {"q": q, "angles": " | ".join(angles), "matrix": "38" if more else "36"}  # bytes
 
 
 @cache
@@ -198,13 +198,13 @@ def mip_fields(attitude: Attitude = "filter", clock: Clock = "reference") -> dic
 
 WEEK_NS = 7 * 86_400 * 10**9
 
-SET_NAMES = {
+SET_NAMES = {number: f"set 0x{number:02X}" for number in range(256)} | {
     SENSOR: "sensor data",
     FILTER: "filter data",
     0xA0: "system data",
     **{code: f"{prefix.upper()} data" for code, prefix in GNSS.items()},
 }
-"""Names of the descriptor sets with data; the others are those of commands and their replies."""
+"""Names of the descriptor sets; those without a name are of commands and their replies."""
 
 
 def _gps_to_ticks(columns: Columns) -> list[ColumnArray]:
@@ -233,7 +233,8 @@ class MipDecoder(TaggedDecoder):
     `clock`: whether ``device_ticks`` is the "reference" time of newer devices, or "gps" time.
     """
 
-    form, data, apart = MIP, (SENSOR, FILTER, *GNSS), (*GNSS.values(),)
+    form, data, type_names = MIP, (SENSOR, FILTER, *GNSS), SET_NAMES
+    apart = (*GNSS.values(),)
     timing = Timing(tick_ns=Fraction(1))
 
     def __init__(self, attitude: Attitude = "filter", clock: Clock = "reference") -> None:
@@ -251,12 +252,9 @@ class MipDecoder(TaggedDecoder):
         found = self.messages.get(key)
         return found if found is not None and found.size == size else None
 
-    def _type_name(self, kind: int) -> str:
-        return SET_NAMES.get(kind, f"set 0x{kind:02X}")
-
     def _field_name(self, key: int) -> str:
         name = self.messages[key].name if key in self.messages else f"0x{key & 0xFF:02X}"
-        return f"{name} of {self._type_name(key >> 8)}"
+        return f"{name} of {SET_NAMES[key >> 8]}"
 
 
 class MipDevice(TableDevice):

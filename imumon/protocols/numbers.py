@@ -1,17 +1,17 @@
 """Numbers in packets: how they are read and written, their columns, and what is computed of them."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
-from imumon.blocks import NO_INT, BoolArray, ColumnArray, FloatArray, IntArray, missing
+from imumon.blocks import NO_INT, BoolArray, ColumnArray, Columns, FloatArray, IntArray, missing
 from imumon.columns import KNOWN, Column
 from imumon.errors import bad_data
 
 from .base import COMMON, NO_GROUP, ByteArray
-from .framing import Found, windows
+from .framing import Found, integers, windows
 
 
 class NumberType(NamedTuple):
@@ -29,20 +29,15 @@ class NumberType(NamedTuple):
 
 
 NUMBER_TYPES = {
-    f"{kind}{bits}": NumberType(bits // 8, kind != "f", kind != "u")
-    for kind, widths in {"u": (8, 16, 24, 32, 64), "i": (8, 16, 24, 32, 64), "f": (32, 64)}.items()
+    f"{letter}{bits}": NumberType(bits // 8, integer=letter != "f", signed=letter != "u")
+    for letter, widths in {"u": (8, 16, 24, 32, 64), "i": (8, 16, 24, 32, 64), "f": (32, 64)}.items()
     for bits in widths
 }
 """Number types by the name that device files use."""
-# Xsens: 32 bits of fraction, then 16 bits of integer part, together a 48-bit two's complement number.
-NUMBER_TYPES["fp1632"] = NumberType(6, False, True)
+# Xsens, most significant byte first: 32 bits of fraction, then 16 of integer part; 48 in two's complement.
+NUMBER_TYPES["fp1632"] = NumberType(6, integer=False, signed=True)
 
-WRAPPING = ("packet_counter", "device_ticks")
-"""Columns of which only the low bits are sent."""
-
-_FLOAT32_MAX = float(np.finfo(np.float32).max)
-
-Columns = Mapping[str, ColumnArray]
+WRAPPING = ("packet_counter", "device_ticks")  # columns of which only the low bits are sent
 
 
 class Derived(NamedTuple):
@@ -67,13 +62,10 @@ class Number(NamedTuple):
     type: str
     factor: float = 1.0
     offset: float = 0.0
-    mask: int = 0
-    """Bits that count, of which the lowest becomes bit 0; 0: all."""
-    at: int = 0
-    """First byte."""
+    mask: int = 0  # bits that count, of which the lowest becomes bit 0; 0: all
+    at: int = 0  # first byte
     group: str = NO_GROUP
-    big: bool = False
-    """Whether the most significant byte comes first."""
+    big: bool = False  # whether the most significant byte comes first
     when: tuple[str, int, int] | None = None
     """Counter, divisor, remainder: it is there only where the counter, divided, leaves this; None: always."""
 
@@ -92,9 +84,9 @@ class Number(NamedTuple):
         kind = NUMBER_TYPES[self.type]
         assert self.column is not None
         if kind.size == 3:
-            raw = _of_bytes(raw, (2, 1, 0) if self.big else (0, 1, 2), kind.signed)
+            raw = _of_bytes(raw, self.big, kind.signed)
         elif self.type == "fp1632":
-            raw = _of_bytes(raw, (3, 2, 1, 0, 5, 4), signed=True) / 2.0**32
+            raw = _of_bytes(raw[:, [4, 5, 0, 1, 2, 3]], big=True, signed=True) / 2.0**32
         if self.mask:
             raw = (raw.astype(np.uint64) & np.uint64(self.mask)) // np.uint64(self.mask & -self.mask)
         if self.column.dtype == "int64" and kind.integer:
@@ -112,16 +104,16 @@ class Number(NamedTuple):
             return numbers if self.column.dtype == "float64" else np.rint(numbers).astype(np.int64)
 
 
-def _of_bytes(raw: ColumnArray, lowest_first: Sequence[int], signed: bool) -> IntArray:
-    """Return integers of bytes, (n, size), which stand in this order."""
-    parts = raw.astype(np.int64).T
-    whole: IntArray = sum(parts[k] << 8 * n for n, k in enumerate(lowest_first))
-    bits = 8 * len(lowest_first)
-    return whole - (whole >> bits - 1 << bits) if signed else whole
+def _of_bytes(raw: ColumnArray, big: bool, signed: bool) -> IntArray:
+    """Return integers of bytes, (n, size)."""
+    n, size = raw.shape
+    whole = integers(raw.reshape(-1), np.arange(n) * size, size, big)
+    is_negative = whole >> (8 * size - 1)
+    return whole - (is_negative << 8 * size) if signed else whole
 
 
 def is_missing(values: ColumnArray) -> BoolArray:
-    """Tell which values are missing."""
+    """Return which values are missing."""
     return np.isnan(values) if values.dtype.kind == "f" else values == NO_INT
 
 
@@ -137,33 +129,38 @@ def write(what: str, numbers: Sequence[Number], blank: bytes, columns: Columns, 
             if item.when is not None and item.when[0] in columns:
                 counter, divisor, remainder = item.when
                 there = columns[counter] % divisor == remainder
-                values = np.where(there, values, item.offset)  # a raw zero
+                values = np.where(there, values, item.offset)  # sent as zero
             most_first = _packed(f"{what}, column {item.name}", item, values)
+            # Added bit by bit: the masks of several numbers may share bytes.
             packets[:, item.at : item.end] |= most_first if item.big else most_first[:, ::-1]
     return packets
 
 
-def _packed(where: str, value: Number, numbers: ColumnArray) -> ByteArray:
+def _packed(where: str, item: Number, values: ColumnArray) -> ByteArray:
     """Return the bytes of a number, most significant first, (n, size)."""
-    kind = NUMBER_TYPES[value.type]
-    if value.type in ("f32", "f64"):
-        numbers = (numbers - value.offset) / value.factor
-        if kind.size == 4:
-            _refuse(np.isfinite(numbers) & (np.abs(numbers) > _FLOAT32_MAX), numbers, where)
-        return numbers.astype(f">f{kind.size}").view(np.uint8).reshape(-1, kind.size)
-    numbers = np.where(is_missing(numbers), value.offset if numbers.dtype.kind == "f" else 0, numbers)
-    if numbers.dtype.kind == "f" or (value.factor, value.offset) != (1.0, 0.0):
-        scaled = (numbers - value.offset) / value.factor * (2.0**32 if value.type == "fp1632" else 1.0)
-        _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), numbers, where)
-        numbers = np.rint(scaled).astype(np.int64)
-    if value.mask:
-        numbers = numbers * (value.mask & -value.mask) & value.mask
-    elif value.name not in WRAPPING and kind.size < 8:
-        low, high = kind.range
-        _refuse((numbers < low) | (numbers > high), numbers, where)
-    most_first = numbers.astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - kind.size :]
+    size = NUMBER_TYPES[item.type].size
+    if item.type in ("f32", "f64"):
+        real = (values - item.offset) / item.factor
+        if size == 4:
+            _refuse(np.isfinite(real) & (np.abs(real) > np.finfo(np.float32).max), real, where)
+        return real.astype(f">f{size}").view(np.uint8).reshape(-1, size)
+    most_first = _raw(where, item, values).astype(">i8").view(np.uint8).reshape(-1, 8)[:, 8 - size :]
     # The fraction of fp16.32 goes before the integer part.
-    return most_first[:, [2, 3, 4, 5, 0, 1]] if value.type == "fp1632" else most_first
+    return most_first[:, [2, 3, 4, 5, 0, 1]] if item.type == "fp1632" else most_first
+
+
+def _raw(where: str, item: Number, values: ColumnArray) -> IntArray:
+    """Return the integers that are sent for these values, in the bits of the mask; zero for missing ones."""
+    raw = np.where(is_missing(values), item.offset if values.dtype.kind == "f" else 0, values)
+    if raw.dtype.kind == "f" or (item.factor, item.offset) != (1.0, 0.0):
+        scaled = (raw - item.offset) / item.factor * (2.0**32 if item.type == "fp1632" else 1.0)
+        _refuse(~np.isfinite(scaled) | (np.abs(scaled) > 2.0**62), raw, where)  # int64 ends at 2**63
+        raw = np.rint(scaled).astype(np.int64)
+    lowest_bit = item.mask & -item.mask if item.mask else 1
+    if item.name not in WRAPPING:
+        low, high = (0, item.mask // lowest_bit) if item.mask else NUMBER_TYPES[item.type].range
+        _refuse((raw < low) | (raw > high), raw, where)
+    return (raw * lowest_bit) & item.mask if item.mask else raw
 
 
 def _refuse(bad: BoolArray, numbers: ColumnArray, where: str) -> None:
@@ -197,12 +194,12 @@ class Record:
         self._numbers = [*last.values()]
         self._derived = [made for made in derived if last.keys() >= {*made.sources}]
         grouped = [item for item in self._numbers if item.group and item.name not in COMMON]
-        self.of_column = {item.name: item.group for item in grouped}
+        self.group_of = {item.name: item.group for item in grouped}
         sent = [item.column for item in self._numbers if item.column is not None]
         for made in self._derived:
             sent += made.results
-            if made.sources[0] in self.of_column:
-                self.of_column |= dict.fromkeys(made.names, self.of_column[made.sources[0]])
+            if made.sources[0] in self.group_of:  # the first decides for all
+                self.group_of |= dict.fromkeys(made.names, self.group_of[made.sources[0]])
         self.columns = tuple(column for column in sent if not column.name.startswith("_"))
 
     @cached_property
@@ -253,7 +250,7 @@ MATRIX = tuple(f"_matrix_{i}{j}" for i in "123" for j in "123")
 
 
 def _parts_to_time(prefix: str, per_s: int, columns: Columns) -> list[ColumnArray]:
-    """Make a Unix time of a date; an impossible date (all zero before the first fix) is missing."""
+    """Make a Unix time of a date; missing when it cannot be (zeros before a fix) or int64 ends, in 2262."""
     rest, year, month, day, hour, minute, second = (columns[f"_{prefix}{part}"] for part in DATE_PARTS)
     good = (year > 1900) & (year < 2262) & (month >= 1) & (month <= 12) & (day >= 1) & (day <= 31)
     months = np.where(good, (year - 1970) * 12 + month - 1, 0).astype("datetime64[M]")
@@ -270,16 +267,17 @@ def utc_time(prefix: str, result: Column, per_s: int = 1_000_000_000) -> Derived
 
 def _matrix_to_quaternion(columns: Columns) -> list[ColumnArray]:
     """Convert the matrix reference to body, row by row, to the quaternion body to reference (Shepperd)."""
-    a, b, c, d, e, f, g, h, i = (columns[name] for name in MATRIX)
-    squares = np.stack([1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i])
+    m11, m12, m13, m21, m22, m23, m31, m32, m33 = (columns[name] for name in MATRIX)
+    squares = np.stack([1 + m11 + m22 + m33, 1 + m11 - m22 - m33, 1 - m11 + m22 - m33, 1 - m11 - m22 + m33])
+    # Element i, j is 4 q_i q_j: the row of the largest q_i, divided by 4 q_i = 2 sqrt(4 q_i q_i), is q.
     products = np.array([
-        [squares[0], f - h, g - c, b - d], [f - h, squares[1], b + d, c + g],
-        [g - c, b + d, squares[2], f + h], [b - d, c + g, f + h, squares[3]],
+        [squares[0], m23 - m32, m31 - m13, m12 - m21], [m23 - m32, squares[1], m12 + m21, m13 + m31],
+        [m31 - m13, m12 + m21, squares[2], m23 + m32], [m12 - m21, m13 + m31, m23 + m32, squares[3]],
     ])  # fmt: skip
-    best = np.argmax(np.nan_to_num(squares), axis=0)
-    scaled = products[best, :, np.arange(len(a))].T
+    largest = np.argmax(np.nan_to_num(squares), axis=0)
+    row = products[largest, :, np.arange(len(m11))].T
     with np.errstate(all="ignore"):  # what is not a rotation becomes NaN
-        quaternion = scaled / (2 * np.sqrt(np.max(squares, axis=0)))
+        quaternion = row / (2 * np.sqrt(np.max(squares, axis=0)))
     quaternion = np.where(np.isfinite(quaternion).all(axis=0), quaternion, np.nan)
     quaternion = np.where(quaternion[0] < 0, -quaternion, quaternion)
     return list(quaternion)

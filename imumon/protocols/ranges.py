@@ -8,7 +8,7 @@ from imumon.config import StrictModel, parse_yaml
 from imumon.geodesy import STANDARD_GRAVITY
 
 ROUNDED = 2.0**-9
-"""Share of a range: data sheets round it and its scale, as 16.4 for 16.384 counts per °/s, 0.1 %."""
+"""Share of a range: data sheets round it and its scale, 16.4 for 16.384 counts per °/s, 0.1 %; twice that."""
 
 
 class Ranges(StrictModel):

@@ -6,23 +6,22 @@ sensors come as IMU_SHORT (integers) or, from older firmware, as IMU_DATA; the r
 """
 
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 
-from imumon.blocks import BoolArray, ColumnArray, IntArray
+from imumon.blocks import BoolArray, ColumnArray, Columns, IntArray
 
 from .base import LONGEST_PACKET, ByteArray, Timing
-from .framing import Checksum, Frame, counted_length
+from .framing import Checksum, Frame, counted_lengths
 from .messages import FamilyDecoder, table
-from .numbers import Columns, Derived, known
+from .numbers import Derived, known
 
 SYNC, END = b"\xff\x5a", 0x33
-HEADER, AROUND = 6, 9
-LARGE = 0x80
-"""Bit of the class of a page of a large log, whose payload begins with the number of the page."""
-HIGH_RATE = 1 << 10
-"""Bit of the status of IMU_SHORT: the rates have the scale of fast sensors."""
-FAST, FINE = 12_304_174.0, 67_108_864.0
+HEADER, AROUND = 6, 9  # bytes before the payload, and of the frame besides the payload
+LARGE = 0x80  # bit of the class of a page of a large log, whose payload begins with the number of the page
+HIGH_RATE = 1 << 10  # bit of the status of IMU_SHORT: the rates have the scale of fast sensors
+FAST, FINE = 12_304_174.0, 2.0**26  # counts per rad/s; fast: 2**31 are 10 000 deg/s
 
 RAW_RATE = tuple(f"_rate_{axis}" for axis in "xyz")
 
@@ -35,12 +34,13 @@ def _to_rates(columns: Columns) -> list[ColumnArray]:
 def _of_rates(columns: Columns) -> list[ColumnArray]:
     status = columns.get("status", np.zeros(len(columns["gyro_x"]), np.int64))
     scale = np.where(status & HIGH_RATE, FAST, FINE)
-    return [np.rint(np.nan_to_num(columns[f"gyro_{axis}"]) * scale).astype(np.int64) for axis in "xyz"]
+    raw = [np.rint(np.nan_to_num(columns[f"gyro_{axis}"]) * scale).astype(np.int64) for axis in "xyz"]
+    return [*raw, status]
 
 
-_SIGMAS = " | ".join(f"{name}_sigma f32 rad uncertainty of {name}" for name in ("roll", "pitch", "yaw"))
 _FILTER = "filter_status u32 1 mode of the filter and what it uses, bits"
-_ACCURACY = f"""{_SIGMAS} | {_FILTER}
+_ACCURACY = f"""roll_sigma f32 rad uncertainty of roll | pitch_sigma f32 rad uncertainty of pitch
+  | yaw_sigma f32 rad uncertainty of yaw | {_FILTER}
   | declination f32 rad of the magnetic field | inclination f32 rad of the magnetic field"""
 LOGS = table(f"""
 44 imu_short: device_ticks u32 | status u16 | accel i32/1048576 | _rate_xyz i32 1 rate as it is sent
@@ -81,10 +81,10 @@ class SbgDecoder(FamilyDecoder):
     """Decodes the logs of class 0; all other frames are counted."""
 
     messages = LOGS
-    frames = (Frame({SYNC: "sbgECom"}, counted_length(4, 2, AROUND, LONGEST_PACKET), _right),)
+    frames = (Frame({SYNC: "sbgECom"}, partial(counted_lengths, 4, 2, AROUND, LONGEST_PACKET), _right),)
     timing = Timing(tick_ns=Fraction(1000), tick_bits=32)
     start, overhead, head = HEADER, AROUND, (2, 3)
-    derived = (Derived(RAW_RATE, known("gyro"), _to_rates, _of_rates),)
+    derived = (Derived((*RAW_RATE, "status"), known("gyro"), _to_rates, _of_rates),)
 
     def wrap(self, key: int, payload: bytes) -> bytes:
         """Make a frame of a log of class 0."""

@@ -21,8 +21,7 @@ from .device import DeviceFile
 from .framing import Checksum, Frame
 from .messages import FamilyDecoder, Message, part
 
-TICK_NS = 500_000
-"""The counter counts samples of the internal 2000 Hz, not datagrams."""
+TICK_NS = 500_000  # the counter counts samples of the internal 2000 Hz, not datagrams
 CRC_SIZE = 4
 LINE_END = b"\r\n"
 PLAIN = {
@@ -46,7 +45,9 @@ Output = Literal["rate", "increment"]
 
 def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) -> dict[int, Message]:
     """Return the datagrams of normal mode by their identifier, which is byte 0 of the payload."""
-    is_rate, per_sample, bits = output == "rate", rate_hz or 1.0, RANGE_BITS[accel_range_g]
+    is_rate = output == "rate"
+    per_sample = rate_hz or 1.0
+    bits = RANGE_BITS[accel_range_g]
     rate = pi / 180 * (2.0**-14 if is_rate else 2.0**-21 * per_sample)
     force = STANDARD_GRAVITY * 2.0**-bits if is_rate else 2.0 ** -(bits + 3) * per_sample
     tilt = STANDARD_GRAVITY * 2.0**-22 if is_rate else 2.0**-25 * per_sample
@@ -73,7 +74,7 @@ def datagrams(output: Output, accel_range_g: AccelRange, rate_hz: float | None) 
 CHECK = Checksum("crc32-mpeg2", big=True, align=4)
 SIZES = np.zeros(256, np.int64)
 SIZES[[*DATAGRAMS]] = [message.size + CRC_SIZE for message in datagrams("rate", 10, None).values()]
-"""Bytes of each datagram by its identifier."""
+"""Bytes of each datagram by its identifier, which are the same for any output and range."""
 
 
 def _length(held: ByteArray, at: IntArray) -> IntArray:

@@ -27,16 +27,16 @@ from imumon.errors import bad_config
 
 from .base import OTHER, ByteArray, Encoder
 from .decoder import Layouts
-from .framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Checksum, Found, Frame, counted_length
+from .framing import IMPOSSIBLE, INCOMPLETE, NO_PACKET, Checksum, Found, Frame, counted_lengths
 from .messages import Message, Placed, TableDecoder
-from .numbers import is_missing, with_sources, write
+from .numbers import Number, is_missing, with_sources, write
 
 LONGEST_XBUS_PAYLOAD = 2048  # bytes that are believed, assumed
-KIND_AT = 2
-"""Place of the packet type."""
+TYPE_AT = 2  # place of the packet type
 HEADER, LONG_HEADER = 4, 6  # bytes before the payload, and where an Xbus message has more than 254 of it
 Field = tuple[int, int, int]  # its key, where its data begin, and their bytes
-_SUM, _FLETCHER = Checksum("sum8-negated", first=1), Checksum("fletcher16-256")
+_SUM = Checksum("sum8-negated", first=1)
+_FLETCHER = Checksum("fletcher16-256")
 
 
 def xbus_lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -59,10 +59,11 @@ def _start(packet: bytes) -> int:
     return LONG_HEADER if packet[0] == 0xFA and packet[3] == 0xFF else HEADER
 
 
-def xbus_message(kind: int, payload: bytes) -> bytes:
+def xbus_message(packet_type: int, payload: bytes) -> bytes:
     """Return an Xbus message without its checksum."""
     size = len(payload)
-    return bytes([0xFA, 0xFF, kind, *([0xFF, size >> 8, size & 0xFF] if size >= 0xFF else [size])]) + payload
+    length = [size] if size < 0xFF else [0xFF, size >> 8, size & 0xFF]
+    return bytes([0xFA, 0xFF, packet_type, *length]) + payload
 
 
 class Form(NamedTuple):
@@ -70,14 +71,11 @@ class Form(NamedTuple):
 
     frame: Frame
     check: Checksum
-    longest: int
-    """Most bytes of a payload."""
-    message: Callable[[int, bytes], bytes]
-    """Returns a packet of a type and a payload, without its checksum."""
-    field_header: int  # bytes of a field before its data; 0: the payload is one field, of key 0
-    read_header: Callable[[bytes, int], tuple[int, int]]  # key and size of the field at a place of a packet
-    header: Callable[[int, int], bytes]
-    """Returns what is before the data of a field with a key and so many bytes."""
+    longest: int  # bytes of a payload
+    message: Callable[[int, bytes], bytes]  # of a type and a payload, without its checksum
+    field_header_size: int  # bytes of a field before its data; 0: the payload is one field, of key 0
+    read_field_header: Callable[[bytes, int], tuple[int, int]]  # key and size of one at a place of a packet
+    write_field_header: Callable[[int, int], bytes]  # of a field with a key and so many bytes
 
     def payload(self, packet: bytes) -> bytes:
         """Return what is between header and checksum."""
@@ -86,24 +84,25 @@ class Form(NamedTuple):
     def fields(self, packet: bytes) -> list[Field]:
         """Return the fields of a packet; the last may end behind it."""
         at, end = _start(packet), len(packet) - self.check.size
-        if not self.field_header:
+        if not self.field_header_size:
             return [(0, at, end - at)]
         found = list[Field]()
-        while at + self.field_header <= end:
-            key, size = self.read_header(packet, at)
+        while at + self.field_header_size <= end:
+            key, size = self.read_field_header(packet, at)
             if size < 0:
                 break
-            found.append((key, at + self.field_header, size))
-            at += self.field_header + size
+            found.append((key, at + self.field_header_size, size))
+            at += self.field_header_size + size
         return found
 
-    def packed(self, kind: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
+    def packed(self, packet_type: int, fields: Sequence[tuple[int, bytes]]) -> bytes:
         """Return a packet of fields, without its checksum: of its type, and of their keys and data."""
-        return self.message(kind, b"".join(self.header(key, len(data)) + data for key, data in fields))
+        payload = b"".join(self.write_field_header(key, len(data)) + data for key, data in fields)
+        return self.message(packet_type, payload)
 
-    def sealed(self, kind: int, *fields: tuple[int, bytes]) -> bytes:
+    def sealed(self, packet_type: int, *fields: tuple[int, bytes]) -> bytes:
         """Return a packet of fields."""
-        return self.check.sealed(self.packed(kind, fields))
+        return self.check.sealed(self.packed(packet_type, fields))
 
 
 XBUS = Form(
@@ -111,20 +110,20 @@ XBUS = Form(
     _SUM,
     LONGEST_XBUS_PAYLOAD,
     xbus_message,
-    field_header=3,
-    read_header=lambda packet, at: (packet[at] << 8 | packet[at + 1], packet[at + 2]),
-    header=lambda key, size: bytes([key >> 8, key & 0xFF, size]),
+    field_header_size=3,
+    read_field_header=lambda packet, at: (packet[at] << 8 | packet[at + 1], packet[at + 2]),
+    write_field_header=lambda key, size: bytes([key >> 8, key & 0xFF, size]),
 )
-XBUS_DATA = XBUS._replace(field_header=0, header=lambda *_: b"")  # MTData
+XBUS_DATA = XBUS._replace(field_header_size=0, write_field_header=lambda *_: b"")  # MTData
 MIP = Form(
-    Frame({b"\x75\x65": "MIP"}, counted_length(3, 1, HEADER + 2, HEADER + 257), _FLETCHER),
+    Frame({b"\x75\x65": "MIP"}, partial(counted_lengths, 3, 1, HEADER + 2, HEADER + 257), _FLETCHER),
     _FLETCHER,
     255,
-    lambda kind, payload: bytes([*b"\x75\x65", kind, len(payload)]) + payload,
-    field_header=2,
+    lambda packet_type, payload: bytes([*b"\x75\x65", packet_type, len(payload)]) + payload,
+    field_header_size=2,
     # The size is that of the whole field; the same identifier is another field in another type of packet.
-    read_header=lambda packet, at: (packet[KIND_AT] << 8 | packet[at + 1], packet[at] - 2),
-    header=lambda key, size: bytes([size + 2, key & 0xFF]),
+    read_field_header=lambda packet, at: (packet[TYPE_AT] << 8 | packet[at + 1], packet[at] - 2),
+    write_field_header=lambda key, size: bytes([size + 2, key & 0xFF]),
 )
 
 
@@ -134,9 +133,8 @@ class TaggedDecoder(TableDecoder):
     form: Form
     data: Sequence[int]
     """Types of packets that carry data: others are messages."""
-    type_names: Mapping[int, str] = {}
-    """Names of the packet types."""
-    names = (OTHER,)
+    type_names: Mapping[int, str] = {}  # others have their number
+    side_groups = (OTHER,)
     big = True
 
     def __init__(self) -> None:
@@ -159,61 +157,58 @@ class TaggedDecoder(TableDecoder):
         return found
 
     def _signature(self, packet: bytes) -> Sequence[int]:
-        headers = (range(at - self.form.field_header, at) for _, at, _ in self.form.fields(packet))
-        return [*range(KIND_AT, _start(packet)), *chain(*headers)]
+        headers = (range(at - self.form.field_header_size, at) for _, at, _ in self.form.fields(packet))
+        return [*range(TYPE_AT, _start(packet)), *chain(*headers)]
 
     def _is_filled(self, packet: bytes) -> bool:
         """Return whether the fields of a packet end where its payload ends."""
-        sizes = [self.form.field_header + size for _, _, size in self.form.fields(packet)]
+        sizes = [self.form.field_header_size + size for _, _, size in self.form.fields(packet)]
         return sum(sizes) == len(self.form.payload(packet))
 
     def _fit(self, held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
         """Return whether the payload of packets with a right checksum is what their type states."""
         fit = np.ones(len(at), np.bool_)
-        data = np.flatnonzero(np.isin(held[at + KIND_AT], self.data))
-        # Of kind 0: there is one frame.
+        data = np.flatnonzero(np.isin(held[at + TYPE_AT], self.data))
+        # Packets that are alike are tested once; their kind is 0, as there is one frame.
         for _, rows, packet in self._alike(Found(held, at[data], length[data], np.zeros_like(data))):
             fit[data[rows]] = self._is_filled(packet)
         return fit
 
     def _by_layout(self, found: Found) -> Layouts:
-        kind = found.held[found.at + KIND_AT]
-        self._types += np.bincount(kind, minlength=256)
-        is_data = np.isin(kind, self.data)
+        types = found.held[found.at + TYPE_AT]
+        self._types += np.bincount(types, minlength=256)
+        is_data = np.isin(types, self.data)
         for row in np.flatnonzero(~is_data).tolist():
             packet = found.held[found.at[row] :][: found.length[row]].tobytes()
-            for text in self._describe(packet[KIND_AT], self.form.payload(packet)):
+            for text in self._describe(packet[TYPE_AT], self.form.payload(packet)):
                 self._report(text)
         data = np.flatnonzero(is_data)
         for layout, rows in super()._by_layout(found.only(data)):
             yield layout, data[rows]
 
-    def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
+    def _describe(self, _packet_type: int, _payload: bytes) -> Iterable[str]:
         """Return in words what a message that is not data reports to the user, if anything."""
-        del kind, payload
         return ()
 
     def _field_name(self, key: int) -> str:
         return f"0x{key:04X}"
 
-    def _type_name(self, kind: int) -> str:
-        return self.type_names.get(kind, f"0x{kind:02X}")
-
     def _by_type(self) -> dict[str, int]:
-        return {self._type_name(kind): n for kind, n in enumerate(self._types.tolist())}
+        counts = enumerate(self._types.tolist())
+        return {self.type_names.get(number, f"0x{number:02X}"): count for number, count in counts}
 
-    def field_encoder(self, kind: int, fields: Sequence[tuple[int, Message]]) -> Encoder:
+    def field_encoder(self, packet_type: int, fields: Sequence[tuple[int, Message]]) -> Encoder:
         """Return an encoder of one packet per row; raises BAD_CONFIG when the packet becomes too long.
 
-        `kind` is the packet type, `fields` have their keys.  A field of which a row has no value is left out.
+        `fields` have their keys.  A field of which a row has no value is left out.
         """
-        longest = sum(self.form.field_header + field.size for _, field in fields)
+        longest = sum(self.form.field_header_size + field.size for _, field in fields)
         if longest > self.form.longest:
             raise bad_config(f"a packet with these fields has {longest} bytes, too many")
-        return Encoder(partial(self._encode_fields, kind, fields))
+        return Encoder(partial(self._encode_fields, packet_type, fields))
 
     def _encode_fields(
-        self, kind: int, fields: Sequence[tuple[int, Message]], block: SampleBlock
+        self, packet_type: int, fields: Sequence[tuple[int, Message]], block: SampleBlock
     ) -> list[bytes]:
         form, names = self.form, [column.name for _, field in fields for column in field.columns]
         columns = with_sources(block.columns, self.derived, names)
@@ -226,14 +221,12 @@ class TaggedDecoder(TableDecoder):
         for pattern in np.unique(present, axis=0):
             rows = np.flatnonzero(np.all(present == pattern, axis=1))
             sent = [fields[k] for k in np.flatnonzero(pattern).tolist()]
-            blank = form.packed(kind, [(key, bytes(field.size)) for key, field in sent])
-            # Without headers there is one field even when none is sent: not strict.
-            pairs = zip(sent, form.fields(blank + bytes(form.check.size)), strict=False)
-            numbers = [
-                number
-                for (_, message), (_, at, size) in pairs
-                for number in message.placed(at, size, big=True)
-            ]
+            blank = form.packed(packet_type, [(key, bytes(field.size)) for key, field in sent])
+            at, numbers = _start(blank), list[Number]()
+            for _, field in sent:
+                at += form.field_header_size
+                numbers += field.placed(at, field.size, big=True)
+                at += field.size
             of_rows = {name: values[rows] for name, values in columns.items()}
             sealed = form.check.sealed_rows(write("packet", numbers, blank, of_rows, len(rows)))
             for row, packet in zip(rows, sealed, strict=True):

@@ -29,10 +29,8 @@ from .framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame
 from .numbers import NUMBER_TYPES, WRAPPING, Number, Record, is_missing
 
 LINE_END = 0x0A
-MOST_LINES = 1 << 14
-"""Lines of which the numbers are remembered: those of a search of 64 KiB and more."""
-LONGEST_LINE = 1024
-"""Bytes of a line that is believed; more is binary data."""
+MOST_LINES = 1 << 14  # lines of which the numbers are remembered: those of a search of 64 KiB and more
+LONGEST_LINE = 1024  # bytes of a line that is believed; more is binary data
 HEXADECIMAL = re.compile("[0-9A-Fa-f]{2}|[0-9A-Fa-f]{4}")
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -224,7 +222,7 @@ class TextDecoder(Decoder):
             line_frame({line.prefix.encode() or b"\n": line.name}, partial(read_once, line)) for line in lines
         ]
         layouts = [Record(line.numbers) for line in lines]
-        groups = Groups.of([layout.of_column for layout in layouts])
+        groups = Groups.of([layout.group_of for layout in layouts])
         super().__init__(frames, timing, groups, layouts=layouts)
 
     def _plain(self, found: Found) -> Found:
@@ -241,26 +239,29 @@ def texts(held: ByteArray, at: IntArray, length: IntArray) -> list[str]:
     return [held[a : a + n].tobytes().decode("utf-8", "replace") for a, n in spans]
 
 
-def line_lengths(after_end: bool, held: ByteArray, at: IntArray) -> IntArray:
-    """Return the lengths of lines with their ends, or with the ends before them; see `Lengths`."""
+def line_lengths(held: ByteArray, at: IntArray, begins_with_end: bool) -> IntArray:
+    """Return the lengths of lines with their line feeds; see `Lengths`.
+
+    `begins_with_end`: without a prefix the sync pattern of a line is the line feed of the one before.
+    """
     ends = np.flatnonzero(held == LINE_END)
-    k = np.searchsorted(ends, at, "right" if after_end else "left")
+    k = np.searchsorted(ends, at, "right" if begins_with_end else "left")
     there = k < len(ends)
     result = np.full_like(at, INCOMPLETE)
-    result[there] = ends[k[there]] - at[there] + (0 if after_end else 1)
+    result[there] = ends[k[there]] - at[there] + (0 if begins_with_end else 1)
     result[~there & (len(held) - at > LONGEST_LINE)] = IMPOSSIBLE
     result[result > LONGEST_LINE] = IMPOSSIBLE
     return result
 
 
 def lines_right(read: Callable[[str], object], held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
-    """Tell which lines can be read; the `Check` of a frame when `read` is given."""
+    """Return which lines can be read; the `Check` of a frame when `read` is given."""
     return np.array([read(text) is not None for text in texts(held, at, length)], np.bool_)
 
 
 def line_frame(names: Mapping[bytes, str], read: Callable[[str], object]) -> Frame:
     """Return the frame of lines that are right when they can be read."""
-    return Frame(names, partial(line_lengths, b"\n" in names), partial(lines_right, read))
+    return Frame(names, partial(line_lengths, begins_with_end=b"\n" in names), partial(lines_right, read))
 
 
 @lru_cache(MOST_LINES)

@@ -17,20 +17,18 @@ from imumon.blocks import FloatArray
 
 from .text import NUMBER, Line
 
-LEAST_LINES = 20
-"""Lines of one kind from which columns are proposed."""
-SAME = 0.8
-"""Share of the lines that must be of one kind: others are headers, comments, torn lines."""
+LEAST_LINES = 20  # lines of one kind from which columns are proposed
+SAME = 0.8  # share of the lines that must be of one kind: others are headers, comments, torn lines
 GRAVITIES = {9.80665: "scale: 1, unit: m/s^2", 1.0: "scale: 1, unit: g", 1000.0: "scale: 1, unit: mg"} | {
     float(counts): f"scale: 1/{counts}, unit: g" for counts in (16384, 8192, 4096, 2048, 256)
 }
 """What the norm of the specific force at rest is, in units and counts that are usual."""
-NEAR = 0.06
-"""Offset and scale errors of a sensor that is not calibrated: a few percent of gravity."""
-STEADY = 0.05
-"""Scatter of a norm, relative, up to which it is that of a constant vector."""
-ZERO = 2.5
-"""Norm, in units of its scatter, up to which three numbers are about zero: of noise alone it is 2.3."""
+NEAR = 0.06  # offset and scale errors of a sensor that is not calibrated: a few percent of gravity
+STEADY = 0.05  # relative scatter of a norm, up to which it is that of a constant vector
+ZERO = 2.5  # norm, in units of its scatter, up to which three numbers are about zero: of noise it is 2.3
+MOST_OFFSET = 30.0  # of a gyro at rest, in standard deviations of its noise; assumed
+MOST_RATE = 300.0  # of a gyro at rest, also in raw counts; assumed
+SLOWEST, FASTEST = 0.7, 1.4  # rates of a clock, relative to that of the lines; assumed
 NORMS = [
     *((g * (1 - NEAR), g * (1 + NEAR), "accel", keys, f"gravity is {g:g}") for g, keys in GRAVITIES.items()),
     *(
@@ -155,30 +153,35 @@ def _beginnings(lines: list[str]) -> list[tuple[str, str]]:
 
 
 def _guesses(places: Sequence[int | str], x: FloatArray, rate: float) -> list[Guess]:
+    """Return what each column may be."""
     names = [place if isinstance(place, str) else "" for place in places]
     taken = {k: guess for k in range(len(names)) if (guess := _time(x[:, k], rate)) is not None}
-    kinds = [next((what for what, named in QUANTITIES.items() if named.match(name)), "") for name in names]
-    # The norm of a temperature and two small numbers may be that of the earth's field.
+    named = [next((what for what, form in QUANTITIES.items() if form.match(name)), "") for name in names]
+    # The norm of a temperature and two small numbers may be that of the earth's field: so this comes last.
     for may_be_mag, k in product((False, True), range(len(names) - 2)):
         three = range(k, k + 3)
-        if taken.keys() & {*three} or len({*kinds[k : k + 3]}) > 1:
+        if taken.keys() & {*three} or len({*named[k : k + 3]}) > 1:
             continue
-        vector = _vector(x[:, three], kinds[k])
+        vector = _vector(x[:, three], named[k])
         if vector is not None and (may_be_mag or vector[0] != "mag"):
             what, unit, why = vector
             for j, axis in zip(three, "xyz", strict=True):
                 own = names[j][-1:].lower()
                 taken[j] = what and f"{what}_{own if own in tuple('xyz') else axis}", unit, why
-    guesses = dict[str, Guess]()
-    for k, name in enumerate(names):
-        likely, keys, why = taken.get(k) or _single(x[:, k], name)
+    return _distinct(names, [taken.get(k) or _single(x[:, k], name) for k, name in enumerate(names)])
+
+
+def _distinct(names: Sequence[str], guesses: Sequence[Guess]) -> list[Guess]:
+    """Return the guesses, of which each column is there once; others have their name or place instead."""
+    distinct = dict[str, Guess]()
+    for k, (name, (likely, keys, why)) in enumerate(zip(names, guesses, strict=True)):
         plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
         columns = likely, f"{plain}_raw" if plain[:1].isalpha() else "", f"value_{k}"
-        column = next(one for one in columns if one and one not in guesses)
+        column = next(one for one in columns if one and one not in distinct)
         if likely and column != likely:
             keys, why = "", f"also looks like {likely} ({why}), only one can be"
-        guesses[column] = column, keys, why
-    return [*guesses.values()]
+        distinct[column] = column, keys, why
+    return [*distinct.values()]
 
 
 def _time(x: FloatArray, rate: float) -> Guess | None:
@@ -189,7 +192,7 @@ def _time(x: FloatArray, rate: float) -> Guess | None:
         return None
     whole = bool(np.all(x == np.rint(x))) and x.min() >= 0 and x.max() < 1 << 32
     for unit, size in UNITS.items():
-        if 0.7 < middle * size * rate < 1.4:
+        if SLOWEST < middle * size * rate < FASTEST:
             why = f"rises by {middle:.6g} a line: at {rate:.4g} lines a second that is {unit}"
             return "device_ticks", f"{'type: u32, ' if whole else ''}unit: {unit}", why
     return ("packet_counter", "type: u32", "rises by one a line") if whole and middle == 1.0 else None
@@ -209,7 +212,8 @@ def _vector(x: FloatArray, named: str) -> Guess | None:
     # Numbers with their scatter: noise and a small offset.  A filter correlates a few lines, a hand more.
     later = 1 + len(x) // 20
     deviation, offset = x.std(axis=0), np.abs(x.mean(axis=0))
-    is_small = np.all(deviation > 0) and np.all(offset < 30 * deviation.max()) and np.abs(x).max() < 300
+    is_noise = np.all(deviation > 0) and np.all(offset < MOST_OFFSET * deviation.max())
+    is_small = is_noise and np.abs(x).max() < MOST_RATE
     if named == "gyro" or (not named and is_small):
         if named:
             why = "named so"

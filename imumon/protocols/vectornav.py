@@ -2,8 +2,7 @@
 
 Facts from the vendor's SDK and the VN-100 manual.  A binary packet is FA, a byte that lists the groups
 that follow (bit 7: a second byte, too), a word for each that lists its fields (bit 15: one more word, but
-not of Common), the fields, and a CRC; it has no length: that is the sum of the fields.  So a packet with a
-field that is not known cannot be read, and is passed over.
+not of Common), the fields, and a CRC.  Its length is the sum of these: with an unknown field it is skipped.
 
 `AngRate`, `Accel` and `Mag` are what the device's filter has left: its own estimate of the gyro bias is
 already taken off.  `Uncomp...` and `Imu` are calibrated in the factory and no more; they make ``gyro``,
@@ -23,7 +22,7 @@ from imumon.columns import KNOWN
 
 from .base import LONGEST_PACKET, ByteArray, Encoder, Timing, chosen
 from .decoder import Layouts
-from .framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_length, windows
+from .framing import IMPOSSIBLE, INCOMPLETE, Checksum, Found, Frame, counted_lengths, windows
 from .messages import Message, Placed, TableDecoder, part, table
 from .numbers import Number, Record
 from .text import line_frame, sentence_body, texts
@@ -31,18 +30,12 @@ from .text import line_frame, sentence_body, texts
 COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2, GNSS3 = *range(1, 8), 12  # bits from 1; second byte: from 8
 RECEIVERS = {GNSS1: "gnss1", GNSS2: "gnss2", GNSS3: "gnss3"}
 SIDE_GROUPS = ("mag", "temperature", "pressure", "attitude", "filter", *RECEIVERS.values())
-FILTERED = ("gyro", "accel", "mag")
-"""What the device sends both as it was calibrated in the factory and as its filter has left it."""
-
-
-def _filtered(base: str, factor: str = "") -> str:
-    """Return what the filter has left; where nothing else comes it has the columns without a suffix."""
-    unit = KNOWN[f"{base}_x"].unit
-    return f"{base}_compensated_xyz f32{factor} {unit} {base}, corrected by the device's own filter"
-
+FILTERED = ("gyro", "accel", "mag")  # sent both as calibrated in the factory and as the filter has left it
 
 YPR, QUATERNION = "yaw f32*deg | pitch f32*deg | roll f32*deg", "q_x f32 | q_y f32 | q_z f32 | q_w f32"
-RATE, FORCE, FIELD = _filtered("gyro"), _filtered("accel"), _filtered("mag", "*gauss")
+RATE = "gyro_compensated_xyz f32 rad/s gyro, corrected by the device's own filter"
+FORCE = "accel_compensated_xyz f32 m/s^2 accel, corrected by the device's own filter"
+FIELD = "mag_compensated_xyz f32*gauss uT mag, corrected by the device's own filter"
 DELTA_THETA = """delta_time f32 s time over which the increments were summed
   | delta_theta_xyz f32*deg rad rotation over the sample"""
 DELTA_VELOCITY = "delta_velocity_xyz f32 m/s velocity increment"
@@ -73,8 +66,7 @@ _RECEIVER = """
 17 Status [GNSS]: GNSS:status u16 1
 18 AltMsl [GNSS]: GNSS:altitude_msl f64 m
 """
-REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}
-"""Fields that have more bytes for each count of a byte in them: how many, and the place of that byte."""
+REPEATS = {"SatInfo": (8, 0), "RawMeas": (28, 10)}  # bytes for each count of a byte in the field, its place
 GROUP_NAMES = {COMMON: "Common", TIME: "Time", IMU: "Imu", GNSS1: "Gnss1", ATTITUDE: "Attitude", INS: "Ins",
                GNSS2: "Gnss2", GNSS3: "Gnss3"}  # fmt: skip
 _TABLES = {
@@ -165,7 +157,7 @@ PLACES = {
 }
 """Group and bit of the fields that can be sent, by GROUP.FIELD: those that need no second byte or word."""
 KNOWN_BITS = {group: sum(1 << bit for bit in fields) for group, fields in FIELDS.items()}
-KNOWN_GROUPS = 0x87F  # a bit each: 1 to 7 and 12
+KNOWN_GROUPS = sum(1 << group - 1 for group in FIELDS)
 SENTENCES = {
     name: Message(name, part(f"8 | {numbers.replace('f32', 'f64')}"))
     for name, numbers in {
@@ -204,48 +196,52 @@ class Contents(NamedTuple):
 
 def read_contents(packet: bytes) -> Contents | int:
     """Return what a packet holds, or the code of why that is not known; see `framing.Lengths`."""
+    fields: Placed = []
     try:
-        return _contents(packet)
+        listed, header = _header(packet)
+        end = header
+        for item in listed:
+            fields.append((item, end, item.size))
+            if item.name in REPEATS:
+                more_bytes, counter = REPEATS[item.name]
+                end += more_bytes * packet[end + counter]
+            end += item.size
+            if end + 2 > LONGEST_PACKET:
+                return IMPOSSIBLE
     except IndexError:  # the bytes end before that is known
         return INCOMPLETE
+    return Contents(fields, header, end) if fields else IMPOSSIBLE
 
 
-def _contents(packet: bytes) -> Contents | int:
+def _header(packet: bytes) -> tuple[list[Message], int]:
+    """Return the fields that the header of a packet lists, none where one is not known, and where it ends."""
     groups, at = packet[1] & 0x7F, 2
     if packet[1] & 0x80:
         groups |= packet[2] << 7
         at = 3
     if groups & ~KNOWN_GROUPS and len(packet) > MOST_HEADER + 2:
-        return IMPOSSIBLE  # as of most FA that begin no packet: known as soon as the whole header is there
-    listed = list[tuple[int, int]]()
+        return [], at  # as found below, but faster: so are most FA that begin no packet
+    listed = list[Message]()
     while groups:
         group = (groups & -groups).bit_length()  # the lowest
         groups &= groups - 1
         if group not in FIELDS:
-            return IMPOSSIBLE
-        bits, shift, more = 0, 0, True
+            return [], at
+        bits = 0
+        shift = 0
+        more = True
         while more:
             if at > MOST_HEADER:
-                return IMPOSSIBLE
+                return [], at
             word = packet[at] | packet[at + 1] << 8
             more = group != COMMON and word >= 0x8000
             bits |= (word & 0x7FFF if more else word) << shift
             if bits & ~KNOWN_BITS[group]:
-                return IMPOSSIBLE
+                return [], at
             at += 2
             shift += 16
-        listed.append((group, bits))
-    items = [item for group, bits in listed for bit, item in FIELDS[group].items() if bits >> bit & 1]
-    fields, end = Placed(), at
-    for item in items:
-        fields.append((item, end, item.size))
-        if item.name in REPEATS:
-            more_bytes, counter = REPEATS[item.name]
-            end += more_bytes * packet[end + counter]
-        end += item.size
-        if end + 2 > LONGEST_PACKET:
-            return IMPOSSIBLE
-    return Contents(fields, at, end) if items else IMPOSSIBLE
+        listed += [item for bit, item in FIELDS[group].items() if bits >> bit & 1]
+    return listed, at
 
 
 def _lengths(held: ByteArray, at: IntArray) -> IntArray:
@@ -255,14 +251,13 @@ def _lengths(held: ByteArray, at: IntArray) -> IntArray:
     while len(left := np.flatnonzero(length == 0)):
         for k, start in enumerate(map(int, at[left])):
             found = read_contents(data[start : start + LONGEST_PACKET])
-            if isinstance(found, int):
-                length[left[k]] = found
-                continue
-            places = found.identifying
-            alike = left[k:][at[left[k:]] + places[-1] < len(held)]
-            heads = windows(held, at[alike], places[-1] + 1)[:, places]
-            length[alike[np.all(heads == heads[0], axis=1)]] = found.end + 2
-            break
+            if not isinstance(found, int):
+                places = found.identifying
+                alike = left[k:][at[left[k:]] + places[-1] < len(held)]
+                heads = windows(held, at[alike], places[-1] + 1)[:, places]
+                length[alike[np.all(heads == heads[0], axis=1)]] = found.end + 2
+                break  # fewer are left now
+            length[left[k]] = found
     return length
 
 
@@ -321,32 +316,37 @@ class VectorNavDecoder(TableDecoder):
 
     frames = (
         Frame({b"\xfa": "binary"}, _lengths, XMODEM),
-        Frame({b"\xfb\x00": "split"}, counted_length(4, 2, 8, LONGEST_PACKET), XMODEM),
+        Frame({b"\xfb\x00": "split"}, partial(counted_lengths, 4, 2, 8, LONGEST_PACKET), XMODEM),
         line_frame({b"$VN": "ascii"}, _sentence),
     )
     timing = Timing(tick_ns=Fraction(1))
     messages = BY_PLACE
-    names, apart = SIDE_GROUPS, (*RECEIVERS.values(),)
+    side_groups, apart = SIDE_GROUPS, (*RECEIVERS.values(),)
     _have_come: frozenset[str] = frozenset()  # quantities, as they were calibrated in the factory
 
     def __init__(self) -> None:
         super().__init__()
-        for name in ("roll", "pitch"):  # seldom sent, and alignment takes other names where they may be
+        for name in ("roll", "pitch"):  # seldom sent: the columns of alignment keep their names
             del self._possible[name]
 
     def _by_layout(self, found: Found) -> Layouts:
         """Yield the layouts; where a calibrated quantity first comes, the filtered one gets another name."""
-        for _, rows, packet in self._alike(found) if self._have_come < {*FILTERED} else ():
+        if self._have_come == {*FILTERED}:
+            yield from super()._by_layout(found)
+            return
+        begin = 0
+        for _, rows, packet in self._alike(found):
             new = _calibrated(super()._numbers(packet)) - self._have_come
             if new:
-                first = int(rows[0])
-                yield from super()._by_layout(found.only(np.arange(first)))
-                self._have_come |= new  # the packets before have been read, under the old names
+                yield from self._between(found, begin, int(rows[0]))  # under the old names
+                begin = int(rows[0])
+                self._have_come |= new
                 self._layouts.clear()
-                for layout, later in self._by_layout(found.only(np.arange(first, len(found)))):
-                    yield layout, first + later
-                return
-        yield from super()._by_layout(found)
+        yield from self._between(found, begin, len(found))
+
+    def _between(self, found: Found, begin: int, end: int) -> Layouts:
+        between = found.only(slice(begin, end))
+        return ((layout, begin + rows) for layout, rows in super()._by_layout(between))
 
     def _signature(self, packet: bytes) -> Sequence[int]:
         if packet[:1] == b"$":
@@ -366,7 +366,7 @@ class VectorNavDecoder(TableDecoder):
 
     def _layout(self, packet: bytes) -> Record | None:
         layout = super()._layout(packet)
-        if layout is not None and "gyro_x" in layout.of_column and "gyro" not in self._have_come:
+        if layout is not None and "gyro_x" in layout.group_of and "gyro" not in self._have_come:
             self._report(
                 "the angular rate is that of the device's filter, which has taken its own estimate of "
                 "the gyro bias off: what imumon finds is the rest of it; send UncompGyro, Imu or $VNIMU",

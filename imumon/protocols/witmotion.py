@@ -12,13 +12,13 @@ from fractions import Fraction
 
 import numpy as np
 
-from imumon.blocks import ColumnArray, IntArray
+from imumon.blocks import ColumnArray, Columns, IntArray
 from imumon.columns import KNOWN, Column
 
 from .base import ByteArray, Packets, Timing
 from .framing import INCOMPLETE, NO_PACKET, Checksum, Found, Frame
 from .messages import FamilyDecoder, Message, part, table
-from .numbers import Columns, Derived, known, utc_time
+from .numbers import Derived, known, utc_time
 
 HEADER, SIZE = 2, 11
 SHORT, LONG = 20, 28
@@ -35,24 +35,25 @@ CLOCK = Column("device_clock", "ns", "int64", "calendar of the device as Unix ti
 def _degrees_of(columns: Columns) -> list[ColumnArray]:
     """Return degrees of numbers whose digits are degrees and, the last seven, minutes times 1e5."""
     values = [columns[name] for name in ("_longitude", "_latitude")]
-    return [np.sign(v) * (np.abs(v) // 10_000_000 + np.abs(v) % 10_000_000 / 6e6) for v in values]
+    return [np.sign(v) * (np.abs(v) // 10_000_000 + np.abs(v) % 10_000_000 / 60e5) for v in values]
 
 
 _ACCEL, _GYRO, _ANGLES = "accel i16*16*g/32768", "gyro i16*2000*pi/180/32768", "angles i16*pi/32768"
-_DOPS = " | ".join(f"gnss_{letter}dop u16*0.01 1 dilution" for letter in "phv")
 TYPES = table(f"""
 0x50 time []: {_DATE.format("clock_", 1_000_000)}
 0x51 accel: {_ACCEL} | temperature i16*0.01
 0x52 gyro: {_GYRO} | 2
 0x53 angle [attitude]: {_ANGLES} | 2
 0x54 mag [mag]: mag_xyz i16*1.0 a.u. magnetic field, raw counts | 2
-0x55 ports [status]: {" | ".join(f"port_d{k} u16 1 port D{k}" for k in range(4))}
+0x55 ports [status]: port_d0 u16 1 port D0 | port_d1 u16 1 port D1 | port_d2 u16 1 port D2
+  | port_d3 u16 1 port D3
 0x56 pressure [pressure]: pressure u32 | pressure_altitude i32*0.01 m from the pressure
 0x57 position [gnss]: _longitude i32 1 longitude | _latitude i32 1 latitude
 0x58 speed [gnss]: gnss_altitude i16*0.1 m of the receiver | gnss_course i16*pi/1800 rad of the receiver
   | gnss_speed u32/3600 m/s over ground
 0x59 quaternion [attitude]: q i16/32768
-0x5A satellites [gnss]: gnss_satellites u16 1 in use | {_DOPS}
+0x5A satellites [gnss]: gnss_satellites u16 1 in use
+  | gnss_pdop u16*0.01 1 dilution | gnss_hdop u16*0.01 1 dilution | gnss_vdop u16*0.01 1 dilution
 """)
 """What each type carries; the fourth number of 0x52 and 0x54 depends on the model and is left out."""
 IN_ONE = (*part(f"{_ACCEL} | {_GYRO}"), *(angle._replace(group="attitude") for angle in part(_ANGLES)))
@@ -65,7 +66,8 @@ COMBINED_FORMS = {
 
 def _combined_lengths(held: ByteArray, at: IntArray) -> IntArray:
     """Return the length of 0x61 by where the next one begins."""
-    result, padded = np.full(len(at), NO_PACKET, np.int64), np.pad(held, (0, LONG + 1))
+    result = np.full(len(at), NO_PACKET, np.int64)
+    padded = np.pad(held, (0, LONG + 1))
     for size in (LONG, SHORT):
         result[(padded[at + size] == 0x55) & (padded[at + size + 1] == COMBINED)] = size
     waits = at + LONG + 1 >= len(held)
@@ -85,7 +87,7 @@ class WitMotionDecoder(FamilyDecoder):
         Frame({bytes([0x55, COMBINED]): "combined"}, _combined_lengths),
     )
     timing = Timing(tick_ns=Fraction(1_000_000))
-    start, overhead, head = HEADER, HEADER, (1,)
+    start, overhead, head = HEADER, HEADER, (1,)  # the checksum, which 0x61 lacks, is passed over
     apart = ("gnss",)
     derived = (
         utc_time("clock_", CLOCK),
@@ -111,7 +113,7 @@ class WitMotionDecoder(FamilyDecoder):
         rates = np.column_stack([packets.block[f"gyro_{axis}"] for axis in "xyz"])
         still = np.append(self._still, ~np.any(rates[~np.isnan(rates[:, 0])], axis=1))
         self._still = still[1 - ZEROS :]
-        if np.convolve(still, np.ones(ZEROS), "valid").max(initial=0) == ZEROS:
+        if np.convolve(still, np.ones(ZEROS), "valid").max(initial=0) == ZEROS:  # all of so many
             self._report(
                 "the device sends rates of exactly zero: at rest it takes off what it holds for bias, "
                 "so bias and noise found from them mean nothing",

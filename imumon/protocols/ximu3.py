@@ -19,10 +19,9 @@ from .text import NUMBER, line_frame, line_lengths, texts
 
 BINARY = 0x80
 END, ESCAPE, ESCAPED_END, ESCAPED_ESCAPE = 0x0A, 0xDB, 0xDC, 0xDD
-"""In a message, the first two are an escape and one of the others."""
+"""In a message an end is sent as an escape and the third, an escape as two bytes: itself and the fourth."""
 TIME_SIZE = 8
-YEARS_US = 1 << 58
-"""Microseconds of 9000 years: a message that claims more began in the middle of another."""
+YEARS_US = 1 << 58  # microseconds of 9000 years: a message that claims more began in the middle of another
 
 _MATRIX = " | ".join(f"matrix_{i}{j} f32 1 rotation matrix" for i in "xyz" for j in "xyz")
 MESSAGES = table(f"""
@@ -41,7 +40,6 @@ W rssi [status]: device_ticks u64 | rssi_percent f32 1 strength of the radio sig
   | rssi_power f32 1 the same, dBm
 Y sync [sync]: device_ticks u64 | sync_edge f32 1 edge at the input
 """)
-"""Messages with numbers by their letter."""
 SIZES = np.zeros(256, np.int64)
 SIZES[[key | BINARY for key in MESSAGES]] = [message.size for message in MESSAGES.values()]
 """Bytes of time and numbers of binary messages, by their first byte."""
@@ -62,7 +60,7 @@ def _right(held: ByteArray, at: IntArray, length: IntArray) -> BoolArray:
     escapes = np.flatnonzero(held[:-1] == ESCAPE)
     bad = escapes[~np.isin(held[escapes + 1], (ESCAPED_END, ESCAPED_ESCAPE))]
     unspoilt = np.searchsorted(bad, at) == np.searchsorted(bad, end)
-    in_time = plain[np.minimum(begin + TIME_SIZE, len(plain) - 1)] < YEARS_US >> 56
+    in_time = plain[np.minimum(begin + TIME_SIZE, len(plain) - 1)] < YEARS_US >> 56  # highest byte
     return np.asarray(unspoilt & in_time & (place[end] - begin == SIZES[held[at]] + 1))
 
 
@@ -91,7 +89,7 @@ class XimuDecoder(FamilyDecoder):
     frames = (
         Frame(
             {bytes([key | BINARY]): message.name for key, message in MESSAGES.items()},
-            partial(line_lengths, False),
+            partial(line_lengths, begins_with_end=False),
             _right,
         ),
         line_frame({b"%c," % key: f"{message.name} text" for key, message in MESSAGES.items()}, _numbers),

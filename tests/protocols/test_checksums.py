@@ -89,3 +89,10 @@ def test_sums_equal_their_definition(data: bytes) -> None:
     assert compute("sum8", data) == sum(data) % 256
     assert compute("sum16", data) == sum(data) % 65536
     assert (compute("sum8-negated", data) + sum(data)) % 256 == 0
+
+
+def test_without_an_end_a_checksum_in_the_middle_covers_what_is_before_it() -> None:
+    check = Checksum("sum8", first=1, at=4)
+    packet = check.sealed(bytes([9, 1, 2, 3, 0, 50]))
+    assert packet == bytes([9, 1, 2, 3, 6, 50])
+    assert check(np.frombuffer(packet, np.uint8), np.array([0]), np.array([6])).all()

@@ -13,6 +13,8 @@ from imumon.geodesy import STANDARD_GRAVITY
 from imumon.protocols.device import device_text, load_device, parse_device
 from imumon.protocols.framing import Checksum
 from imumon.protocols.messages import table
+from imumon.protocols.numbers import Record
+from imumon.protocols.sbg import SbgDecoder
 from tests.data_folder import measured
 from tests.protocols.streams import feed_in_chunks
 
@@ -73,6 +75,12 @@ def test_sbg_frames_of_the_vendor() -> None:
     up_time = block["up_time"][block["up_time"] != NO_INT]
     assert up_time.tolist() == [3600] * 3
     assert block["processor_load"][block["processor_load"] != NO_INT].tolist() == [42] * 3
+
+
+def test_a_raw_rate_of_sbg_needs_the_status_that_has_its_scale() -> None:
+    (log,) = table("9 other: _rate_xyz i32 1 rate as it is sent").values()
+    record = Record(log.placed(0, log.size, False), SbgDecoder.derived)
+    assert record.columns == ()
 
 
 def test_sbg_rates_about_north_are_not_in_the_columns_of_those_about_the_body_axes() -> None:

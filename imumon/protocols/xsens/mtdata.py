@@ -52,21 +52,21 @@ ERRORS = {
 """What the codes of an Error message mean; others are those of trackers behind an Xbus Master."""
 
 
-def describe(kind: int, payload: bytes) -> Iterable[str]:
+def describe(packet_type: int, payload: bytes) -> Iterable[str]:
     """Return in words what a message reports to the user; nothing for those that are only answers."""
-    if kind == ERROR:
+    if packet_type == ERROR:
         code = payload[0] if payload else 0
         more = f" (more: {payload[1:].hex(' ')})" if len(payload) > 1 else ""
         yield f"the device reports error {code}: {ERRORS.get(code, 'not a known code')}{more}"
-    elif kind == WARNING:
+    elif packet_type == WARNING:
         yield f"the device reports a warning: {payload.hex(' ') or 'no details'}"
-    elif kind == OUTPUT_CONFIGURATION and len(payload) % 4 == 0:
+    elif packet_type == OUTPUT_CONFIGURATION and len(payload) % 4 == 0:
         outputs = [
             f"{identifier_name(code)} {'with every packet' if rate == 0xFFFF else f'at {rate} Hz'}"
             for code, rate in struct.iter_unpack(">HH", payload)
         ]
         yield f"the device is configured to send {', '.join(outputs) or 'nothing'}"
-    elif kind == CONFIGURATION:  # 98 bytes, and 20 for each device
+    elif packet_type == CONFIGURATION:  # 98 bytes, and 20 for each device
         for at in range(98, len(payload) - 19, 20):
             size, mode, settings = struct.unpack_from(">HHI", payload, at + 4)
             yield f"the device sends {size} bytes: output mode {mode:04X}, output settings {settings:08X}"
@@ -116,10 +116,10 @@ class MTData2Decoder(TaggedDecoder):
             self._report(f"orientation and velocity are given in the frame {frame}")
         return found
 
-    def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
-        if kind == MTDATA:
+    def _describe(self, packet_type: int, payload: bytes) -> Iterable[str]:
+        if packet_type == MTDATA:
             return ["the device sends legacy MTData, which needs the device xsens-legacy with its profile"]
-        return describe(kind, payload)
+        return describe(packet_type, payload)
 
     def _field_name(self, key: int) -> str:
         return identifier_name(key)
@@ -239,8 +239,7 @@ class MTDataDecoder(TaggedDecoder):
         del names
         return self.field_encoder(MTDATA, [(0, self._data)])
 
-    def _field(self, key: int, size: int) -> Message | None:
-        del key
+    def _field(self, _key: int, size: int) -> Message | None:
         return self._data if size == self._data.size else None
 
     def _is_filled(self, packet: bytes) -> bool:
@@ -252,9 +251,9 @@ class MTDataDecoder(TaggedDecoder):
             )
         return size == self._data.size
 
-    def _describe(self, kind: int, payload: bytes) -> Iterable[str]:
-        yield from describe(kind, payload)
-        if kind == MTDATA2:
+    def _describe(self, packet_type: int, payload: bytes) -> Iterable[str]:
+        yield from describe(packet_type, payload)
+        if packet_type == MTDATA2:
             yield "the device sends MTData2, which needs the device xsens"
 
 

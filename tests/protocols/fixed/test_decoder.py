@@ -321,6 +321,14 @@ def test_a_range_that_does_not_fit_is_refused() -> None:
         ax1().encoder().encode(SampleBlock({"mag_x": np.array([400.0])}))
 
 
+@pytest.mark.parametrize(("column", "value"), [("high_bits", 0x8000), ("high_bits", -1), ("plain", -1)])
+def test_an_integer_that_does_not_fit_its_bits_is_refused(column: str, value: int) -> None:
+    encoder = parse_device(LARGE, "large.yaml").encoder()
+    assert len(encoder.encode(SampleBlock({column: np.array([0x7FFF])}))) == 1
+    with pytest.raises(ImumonError, match=rf"{column}.*{value} does not fit"):
+        encoder.encode(SampleBlock({column: np.array([value])}))
+
+
 def test_device_files_of_the_project_load_and_make_codecs() -> None:
     folder = Path(__file__).resolve().parents[3] / "configs" / "devices"
     for path in folder.glob("*.yaml"):
