@@ -35,7 +35,7 @@ from .runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Names, Origin, Run, furthe
 from .search import AxisSearch, gain_bar
 
 # The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
-# distances, so that nothing stays unnoticed for longer.
+# distances (assumed), so that nothing stays unnoticed for longer than that.
 FIRST_SEARCH_S, SEARCH_EVERY_S = 1200.0, 600.0
 # Logarithm of the likelihood ratio (half a gain in BIC) by which a model wins: 1 in 3000 by chance.
 DECISIVE = 8.0
@@ -244,7 +244,8 @@ class LiveDiagnosis:
         )
         challenger, beside = Challenger(self._model, better_ones, elapsed_s), self._challenger
         self._charts = _charts(run, self._model, challenger.model, worst)
-        # At twice the age at which it was found, the last model that was found takes a challenger's place.
+        # At twice the age at which it was found, the last model that was found takes a challenger's place: so
+        # a session has few challengers, each of which may win by chance once in 3000.
         if self._learn and (not beside or elapsed_s >= 2.0 * beside.since_s):
             self._challenger = challenger
 
