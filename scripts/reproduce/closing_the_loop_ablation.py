@@ -12,7 +12,7 @@ from closing_the_loop_measured import chamber_run, split
 from closing_the_loop_statistics import Result, is_outside, jobs, right, run_case
 from study import Options, Study, Table, spread
 
-from imumon.lab.diagnosis import candidates, likelihood, search, verdict
+from imumon.lab.diagnosis import candidates, claims, likelihood, search
 from imumon.lab.diagnosis import diagnose as engine
 from imumon.lab.diagnosis.candidates import Candidate
 from imumon.lab.diagnosis.diagnose import diagnose
@@ -64,13 +64,13 @@ MECHANISMS: Mapping[str, Change] = {
     "pairs of effects at once": [(search.AxisSearch, "_beside_partner", lambda _self, _scored, _best: {})],
     "exchange at the end": [(search.AxisSearch, "_refine_each", _without_exchange)],
     "least share of the largest effect": [(search, "SECOND_SHARE", 0.0)],
-    "shorter blocks for short runs": [(engine, "BLOCK_FRACTIONS", (1,))],
+    "shorter blocks for short runs": [(engine, "BLOCK_DIVISORS", (1,))],
     "refinement of parameters": [(search, "REFINEMENTS", 0)],
     "flicker in the noise": _without_noise(0),
     "walk in the noise": _without_noise(1),
-    "refuted by the test": [(verdict, "_not_refuted", lambda _channel, findings, _left_out: list(findings))],
-    "proven by the test": [(verdict, "_proven_by_test", lambda *_given: None)],
-    "eight floors of what the test proves": [(verdict, "FLOORS_BY_TEST", 0.0)],
+    "refuted by the test": [(claims, "_not_refuted", lambda _channel, findings: (list(findings), []))],
+    "proven by the test": [(claims, "_proven_by_test", lambda *_given: None)],
+    "eight floors of what the test proves": [(claims, "FLOORS_BY_TEST", 0.0)],
     "free state at power-on": _untried(lambda one: one.free_start),
     "coefficients of each run": _untried(lambda one: one.scope == "either" and not one.shared),
     "a curve that is late as a whole": _untried(lambda one: len(one.parts) > 1),
@@ -95,9 +95,9 @@ def _chamber(name: str, folder: Path) -> list[float]:
         found = [diagnose(*split(run, share), sensors=("gyro",)).verdicts for share in SHARES]
         again = replace(run, name="the same course once more", start_ns=10**13)
         whole = diagnose([run], [again], sensors=("gyro",)).verdicts[0]
-    left = [[v.test_after.rms for v in verdicts] for verdicts in found]
+    left = [[v.prediction.rms for v in verdicts] for verdicts in found]
     x, _, z = np.degrees(np.sqrt(np.mean(np.square(left), axis=0))).tolist()
-    return [x, z, float(np.degrees(whole.test_after.rms))]
+    return [x, z, float(np.degrees(whole.prediction.rms))]
 
 
 def _row(name: str, found: Sequence[Result], base: Sequence[Result], chamber: Sequence[float]) -> list[str]:

@@ -90,7 +90,7 @@ def _row(share: float, verdict: ChannelVerdict, found: dict[str, Any]) -> list[s
     train = [found[when]["train_rms"] for when in ("before", "after")]
     numbers = [
         _deg(value)
-        for value in (found["noise_floor_rms"], *train, verdict.test_before.rms, verdict.test_after.rms)
+        for value in (found["noise_floor_rms"], *train, verdict.test_before.rms, verdict.prediction.rms)
     ]
     return [f"{share:.0%}", verdict.name[-1], *numbers, f"{verdict.test_after.coverage:.0%}", text]
 

@@ -118,8 +118,8 @@ def run_case(job: tuple[Setting, int]) -> list[Result]:
         findings = [claim.finding for claim in verdict.claims]
         names = tuple(sorted(case.truth[channel])), tuple(one.name for one in findings)
         sets = tuple(tuple(one.names) for one in findings if one.alternatives)
-        before, after = verdict.test_before, verdict.test_after
-        errors = before.rms / case.floor, after.rms / case.floor, after.estimated_rms / case.floor
+        before, after, estimated = verdict.test_before, verdict.prediction, verdict.test_after
+        errors = before.rms / case.floor, after.rms / case.floor, estimated.estimated_rms / case.floor
         of_case = setting.label, setting.size, seed, channel
         found.append(Result(*of_case, *names, sets, verdict.unexplained, *errors, seconds))
     return found

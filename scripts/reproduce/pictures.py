@@ -207,7 +207,7 @@ def steps() -> list[Axes]:
         minutes, rows = run.time_s / 60.0, slice(at, at + len(run))
         before, after = (residual[rows] for residual in residuals)
         degc = verdict.channel.temperature[rows]
-        loop.plot(degc, before, ".-", ms=4, lw=0.4, label=run.run.name)
+        loop.plot(degc, before, ".-", ms=4, lw=0.4, label=run.in_slots.name)
         effect.plot(minutes, before, ".", ms=4)
         effect.plot(minutes, before - after, "k-", lw=1.2, label="" if at else "fitted lag")
         at += len(run)

@@ -12,29 +12,28 @@ from imumon.effects.base import Drive, Scale, Survey
 from imumon.effects.operators import play
 from imumon.recordings.reduced import ACCEL
 
-from .runs import Names, Run, Runs
+from .runs import Columns, Names, Run, Runs
 
 BLOCK_S = 30.0  # assumed; a log with fewer than six samples in that has longer blocks
-LEAST_BLOCKS = 40
-"""Of a training: ten for each coefficient of a cubic."""
-PARTS = 15
-"""Parts of a block whose differences show its white noise, at least, where it has so many slots."""
-LEAST_PARTS = 3
-"""Parts that a block of few slots has: two differences, less their mean, are not zero."""
-BESIDE = 4
-"""Slots on either side of a turn of the unit that are compared."""
+LEAST_BLOCKS = 40  # of a training: ten for each coefficient of a cubic
+# Pieces of a block whose differences show its white noise: 15 or more (assumed), where it has so many slots.
+# In three there are two differences, of which something is left less their mean.
+PIECES, LEAST_PIECES = 15, 3
+LEAST_SLOTS = 6  # of a block: three pieces of two slots
+MOST_BLOCKS = 1200  # of a run, ten hours of those of 30 s, so that a search takes no longer (assumed)
+BESIDE = 4  # slots on either side of a turn of the unit that are compared (assumed)
 
 
 @dataclass(frozen=True, eq=False)
-class RunBlocks:
+class RunInBlocks:
     """One run as means over n blocks at rest; a block with less than half of its samples is left out."""
 
-    run: Run
+    in_slots: Run
     block_s: float  # nominal length
     time_s: FloatArray  # mean time of its samples since power-on, (n,)
     white: FloatArray  # variance of the white noise over that of a full block, (n,)
-    mean: dict[str, FloatArray]  # of each channel, SI units, (n,)
-    temperature: dict[str, FloatArray]  # °C, (n,)
+    mean: Columns  # of each channel, SI units, (n,)
+    temperature: Columns  # °C, (n,)
     drives: dict[str, Drive]  # what drives effects, for each temperature, of all slots, with gaps bridged
     weight: FloatArray  # samples in a slot at rest over those of a whole one, (slots,)
     slots_per_block: int
@@ -49,22 +48,22 @@ class RunBlocks:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def in_blocks_of(self, block_s: float) -> "RunBlocks":
+    def in_blocks_of(self, block_s: float) -> "RunInBlocks":
         """Return the same run in blocks of another length, s."""
         drivers = next(iter(self.drives.values())).others
-        return make_blocks(self.run, [*self.mean], [*self.temperature], [*drivers], block_s)
+        return make_blocks(self.in_slots, [*self.mean], [*self.temperature], [*drivers], block_s)
 
     def average(self, columns: FloatArray) -> FloatArray:
         """Return block means (n, k) of columns (slots, k), or (n,) of values (slots,)."""
         return _averaged(columns, self.weight, self.slots_per_block)[0]
 
 
-Blocks = Sequence[RunBlocks]
+RunsInBlocks = Sequence[RunInBlocks]
 
 
 def make_blocks(
     run: Run, channels: Names, temperatures: Names, drivers: Names = (), block_s: float = BLOCK_S
-) -> RunBlocks:
+) -> RunInBlocks:
     """Return means over the slots at rest with samples of every channel; `drivers` may drive effects, too."""
     valid = run.at_rest & np.isfinite([run.mean[name] for name in channels]).all(axis=0)
     drives = _drives(run, temperatures, drivers)
@@ -75,17 +74,18 @@ def make_blocks(
         pose, valid = poses(accel, valid)
     valid = in_one_pose(valid, pose, slots)
     count = run.count[channels[0]]
-    some = count > 0
-    whole = some & np.append(some[1:], False) & np.append(False, some[:-1])  # no gap cuts it
+    sampled = count > 0
+    whole = sampled & np.append(sampled[1:], False) & np.append(False, sampled[:-1])  # no gap cuts it
     weight = np.zeros(len(valid))
     if valid.any():
-        weight[valid] = count[valid] / count[whole if whole.any() else some].mean()
+        weight[valid] = count[valid] / count[whole if whole.any() else sampled].mean()
     time_s, share = _averaged(run.time_s, weight, slots)
-    return RunBlocks(
-        run=run,
+    return RunInBlocks(
+        in_slots=run,
         block_s=block_s,
         time_s=time_s,
         white=1.0 / share,
+        # A slot without weight must not be NaN, as 0 NaN would be NaN.
         mean={name: _averaged(np.where(valid, run.mean[name], 0.0), weight, slots)[0] for name in channels},
         temperature={n: _averaged(drive.temperature_degc, weight, slots)[0] for n, drive in drives.items()},
         drives=drives,
@@ -135,9 +135,10 @@ def poses(force: FloatArray, resting: BoolArray) -> tuple[IntArray, BoolArray]:
         for start, stop in edges.reshape(-1, 2).tolist():
             # The next pose begins with the slot behind the largest change.
             turns[slots[start + np.argmax(change[start:stop]) + BESIDE]] = 1
-            compared = slots[start : stop + 2 * BESIDE - 1]
             # A turn that was detected is a gap; without one it is in slots that are declared at rest.
-            still[compared] &= compared[-1] - compared[0] >= len(compared)  # whether there is a gap
+            compared = slots[start : stop + 2 * BESIDE - 1]
+            is_gap = compared[-1] - compared[0] >= len(compared)
+            still[compared] &= is_gap
     return np.cumsum(turns), still
 
 
@@ -146,30 +147,27 @@ def in_one_pose(valid: BoolArray, pose: IntArray, slots: int) -> BoolArray:
     kept = valid.copy()
     for turn in np.flatnonzero(np.diff(pose)) + 1:
         block = slice(turn // slots * slots, (turn // slots + 1) * slots)
-        kept[block] &= pose[block] == np.argmax(np.bincount(pose[block][valid[block]], minlength=1))
+        usual = np.argmax(np.bincount(pose[block][valid[block]], minlength=1))
+        kept[block] &= pose[block] == usual
     return kept
 
 
-def at_poses(run: RunBlocks) -> RunBlocks:
+def at_poses(run: RunInBlocks) -> RunInBlocks:
     """Return a run in which the specific force that drives effects is the mean of its pose: a reading that is
     to be explained must not explain its own noise."""
     if (force := run.force) is None:
         return run
     of_pose = np.array([force[run.pose == pose].mean(axis=0) for pose in run.pose])
     between_blocks_s = 0.5 * (run.time_s[1:] + run.time_s[:-1])
-    accel = of_pose[np.searchsorted(between_blocks_s, run.run.time_s)]
+    accel = of_pose[np.searchsorted(between_blocks_s, run.in_slots.time_s)]
     return replace(run, drives={name: replace(drive, accel=accel) for name, drive in run.drives.items()})
 
 
 def common_block_s(runs: Runs) -> float:
-    """Return the length of a block: 30 s, or more where a log has few samples in that, or a run is long.
-
-    It has six slots at least, whose differences show the white floor.  A run has at most 1200 blocks, ten
-    hours of those of 30 s, so that a search takes no longer.
-    """
-    shortest_s = 6 * max(run.slot_s for run in runs)
-    least_s = max(BLOCK_S, max(run.duration_s for run in runs) / 1200)
-    return shortest_s * float(np.ceil(least_s / shortest_s))
+    """Return the length of a block: 30 s, or more where a log has few samples in that, or a run is long."""
+    unit_s = LEAST_SLOTS * max(run.slot_s for run in runs)  # of which it is a multiple
+    least_s = max(BLOCK_S, max(run.duration_s for run in runs) / MOST_BLOCKS)
+    return unit_s * float(np.ceil(least_s / unit_s))
 
 
 class WhiteFloor(NamedTuple):
@@ -179,50 +177,50 @@ class WhiteFloor(NamedTuple):
     source: str
 
 
-def white_floor(channel: str, blocks: Blocks) -> WhiteFloor:
+def white_floor(channel: str, runs: RunsInBlocks) -> WhiteFloor:
     """Return the white floor of a channel: rms over the blocks, logs of several rates each by itself."""
-    widths = sorted({run.slots_per_block for run in blocks})
+    widths = sorted({run.slots_per_block for run in runs})
     if len(widths) == 1:
-        return _floor_of_one_rate(channel, blocks)
-    of_rates = [[run for run in blocks if run.slots_per_block == width] for width in widths]
-    floors = [(_floor_of_one_rate(channel, runs), sum(map(len, runs))) for runs in of_rates]
-    variance = sum(number * floor.sd**2 for floor, number in floors) / sum(map(len, blocks))
+        return _floor_of_one_rate(channel, runs)
+    of_rates = [[run for run in runs if run.slots_per_block == width] for width in widths]
+    floors = [(_floor_of_one_rate(channel, some), sum(map(len, some))) for some in of_rates]
+    variance = sum(number * floor.sd**2 for floor, number in floors) / sum(map(len, runs))
     return WhiteFloor(np.sqrt(variance), floors[0][0].source)
 
 
-def _floor_of_one_rate(channel: str, blocks: Blocks) -> WhiteFloor:
+def _floor_of_one_rate(channel: str, runs: RunsInBlocks) -> WhiteFloor:
     """Return the white floor from the scatter inside blocks.
 
-    It is half the mean square difference of neighbouring parts of a block (an Allan variance), less the mean
-    difference of the block, so that no ramp gets in.  A part is a fifteenth of a block or less (2 s of 30 s):
+    It is half the mean square difference of neighbouring pieces of a block (an Allan variance), less the
+    mean difference of the block: no ramp gets in.  A piece is a fifteenth of a block or less (2 s of 30 s):
     shorter ones would be too small by an output filter or too large by rounding, longer ones by flicker.
-    Where every block lacks readings, its parts have fewer slots; where parts have none, or the same ones,
+    Where every block lacks readings, its pieces have fewer slots; where pieces have none, or the same ones,
     neighbouring blocks are compared.  The clock's is that of the delays at both ends of a block.
     """
-    slots = blocks[0].slots_per_block
-    of_runs = [np.where(run.weight > 0.0, run.run.mean[channel], np.nan) for run in blocks]
+    slots = runs[0].slots_per_block
+    of_runs = [np.where(run.weight > 0.0, run.in_slots.mean[channel], np.nan) for run in runs]
     in_blocks = [values[: len(values) // slots * slots].reshape(-1, slots) for values in of_runs]
     # What gaps add to the variance of a full block, on the average.
-    by_gaps = np.concatenate([run.white for run in blocks]).mean()
-    width = max(1, slots // PARTS)  # slots of a part
+    gap_factor = np.concatenate([run.white for run in runs]).mean()
+    width = max(1, slots // PIECES)  # slots of a piece
     number = slots // width
-    parts, count = _means(np.concatenate(in_blocks)[:, : number * width].reshape(-1, number, width))
+    pieces, count = _means(np.concatenate(in_blocks)[:, : number * width].reshape(-1, number, width))
     whole = (count == width).all(axis=1)
     used = whole if whole.any() else (count > 0).all(axis=1)
-    differences = np.diff(parts[used], axis=1)
+    differences = np.diff(pieces[used], axis=1)
     if channel == CLOCK or not differences.any():
         # NaN between runs: no step leads from one to the next.
         means = [values for blocks_of_run in in_blocks for values in (_means(blocks_of_run)[0], [np.nan])]
-        sd = block_noise(np.concatenate(means)) * np.sqrt(by_gaps)
+        sd = block_noise(np.concatenate(means)) * np.sqrt(gap_factor)
         return WhiteFloor(sd, "delays at the ends of blocks" if channel == CLOCK else "neighbouring blocks")
     spread = differences - differences.mean(axis=1, keepdims=True)
-    # The mean of k differences is (last - first) / k, and takes 2 / k² of the variance away; `LEAST_PARTS`
-    # and the six slots of `common_block_s` see to it that k is 2 or more.
+    # The mean of k differences is (last - first) / k, and takes 2 / k² of the variance away; `LEAST_PIECES`
+    # and `LEAST_SLOTS` see to it that k is 2 or more.
     k = number - 1
-    of_part = np.mean(spread**2) / (2.0 * (1.0 - 1.0 / k**2))
-    of_slot = of_part * (width if whole.any() else 1.0 / np.mean(1.0 / count[used]))
-    sd = np.sqrt(of_slot / slots * by_gaps)
-    return WhiteFloor(sd, f"means of {width * blocks[0].run.slot_s:.0f} s inside blocks")
+    variance_of_piece = np.mean(spread**2) / (2.0 * (1.0 - 1.0 / k**2))
+    slots_of_piece = width if whole.any() else 1.0 / np.mean(1.0 / count[used])
+    sd = np.sqrt(variance_of_piece * slots_of_piece / slots * gap_factor)
+    return WhiteFloor(sd, f"means of {width * runs[0].in_slots.slot_s:.0f} s inside blocks")
 
 
 def _means(values: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -231,7 +229,7 @@ def _means(values: FloatArray) -> tuple[FloatArray, IntArray]:
     return np.where(count > 0, np.nansum(values, axis=-1) / np.maximum(count, 1), np.nan), count
 
 
-def survey(runs: Blocks, temperatures: Iterable[str], degree: int) -> Survey:
+def survey(runs: RunsInBlocks, temperatures: Iterable[str], degree: int) -> Survey:
     """Return what the training runs can show, with the drivers that there are beside temperature: that of the
     thermometer that varies most, for one of several may not."""
     of_all = {name: np.concatenate([run.temperature[name] for run in runs]) for name in temperatures}

@@ -23,18 +23,18 @@ from imumon.effects.library import EFFECTS
 from imumon.effects.product import Product
 from imumon.effects.temperature_curve import TemperatureCurve
 
-from .blocks import Blocks, RunBlocks, WhiteFloor
+from .blocks import RunInBlocks, RunsInBlocks, WhiteFloor
 
+# What has a constant of the declared model: all runs one, each run one, or each pose of each run one.
 OffsetPer = Literal["all", "run", "pose"]
-"""What has a constant of the declared model: all runs one, each run one, or each pose of each run one."""
-ALL_RUNS = -1
+ALL_RUNS = -1  # as the run of a term
 
 
 class Term(NamedTuple):
     """One column of Z.
 
     Terms of one `spectrum`, a distribution over time constants, have coefficients of one sign: a candidate
-    that generalised least squares give both signs explains nothing.
+    that generalised least squares give both signs explains nothing in a scan, and so is not found.
     """
 
     column: int  # index of a column that `Training` has made
@@ -50,7 +50,7 @@ class Part(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """What may be added at once: one part, or two that are shared."""
+    """What may be added at once: one part, or two that are shared; other pairs are scored, and not added."""
 
     parts: tuple[Part, ...]
     free_start: bool = False  # whether the state at each power-on is fitted, too
@@ -91,29 +91,32 @@ class Candidate(NamedTuple):
         return self._replace(parts=(*self.parts[:number], part, *self.parts[number + 1 :]))
 
 
+Candidates = Sequence[Candidate]  # as those of a model: what it has beside its base
+
+
 def candidates(survey: Survey, kinds: Iterable[str]) -> list[Candidate]:
     """Return all candidates of these kinds that such runs can show, over their grids of theta."""
     of_a_driver = sum(issubclass(kind, (DrivenEffect, Product)) for kind in EFFECTS.values())
     price = 2.0 * np.log(max(1, len(survey.others)) * of_a_driver)
     every_run = tuple(range(survey.runs))
-    found: list[Candidate] = []
+    made: list[Candidate] = []
     for kind in (EFFECTS[name] for name in kinds):
         grid = kind.grid(survey)
         if kind.scope == "event":
             for run, duration_s in enumerate(survey.durations_s):
-                found += [Candidate((Part(one, (run,)),)) for one in grid if one.fits_in(duration_s, survey)]
+                made += [Candidate((Part(one, (run,)),)) for one in grid if one.fits_in(duration_s, survey)]
         elif kind.scope == "run":
-            found += [Candidate((Part(effect, every_run[1:]),)) for effect in grid]
+            made += [Candidate((Part(effect, every_run[1:]),)) for effect in grid]
         else:
             shared = [Candidate((Part(effect),)) for effect in grid]
             driven = [effect for driver in survey.others for effect in kind.driven(survey, driver)]
-            found += [*shared, *(Candidate((Part(effect),), choice_price=price) for effect in driven)]
-            found += [Candidate(_late_curve(effect, survey)) for effect in kind.of_curve(survey)]
+            made += [*shared, *(Candidate((Part(effect),), choice_price=price) for effect in driven)]
+            made += [Candidate(_late_curve(effect, survey)) for effect in kind.of_curve(survey)]
             if kind.free_start:
-                found += [candidate._replace(free_start=True) for candidate in shared]
+                made += [candidate._replace(free_start=True) for candidate in shared]
             if kind.scope == "either" and survey.runs > 1:
-                found += [Candidate((Part(effect, every_run),)) for effect in grid]
-    return found
+                made += [Candidate((Part(effect, every_run),)) for effect in grid]
+    return made
 
 
 def _late_curve(late: Effect, survey: Survey) -> tuple[Part, ...]:
@@ -134,8 +137,7 @@ class Scored(NamedTuple):
     partner: str = ""  # the family beside which it gains so much, where neither gains it alone
 
 
-GainTable = Mapping[str, Scored]
-"""The candidate of each family that gains most."""
+GainTable = Mapping[str, Scored]  # the candidate of each family that gains most
 
 
 @dataclass(eq=False)
@@ -168,7 +170,7 @@ class Finding:
 class Training:
     """Training runs, and block means of the columns of effects of one temperature, made once for each."""
 
-    runs: Blocks
+    runs: RunsInBlocks
     temperature_name: str
     _columns: list[FloatArray] = field(default_factory=list)
     _made: dict[tuple[int, str], tuple[Effect, range]] = field(default_factory=dict)
@@ -202,15 +204,17 @@ class Training:
             self._columns[column] if run == ALL_RUNS else self._columns[column] * (run_of_block == run)
             for column, run, _ in terms
         ]
+        # Reshaped for no terms: (0, n).
         return np.ascontiguousarray(np.reshape(rows, (len(terms), len(run_of_block))).T)
 
-    def design(self, model: Sequence[Candidate]) -> FloatArray:
+    def effect_columns(self, model: Candidates) -> FloatArray:
         """Return Z of (1) for the candidates of a model, (n, k): columns of each, then of its free start."""
         return self.matrix([term for candidate in model for terms in self.terms(candidate) for term in terms])
 
     def _indices(self, effect: Effect, method: str) -> range:
         """Return where the columns are that a method of an effect returns; they are made if need be."""
-        key = (id(effect), method)  # the effect is kept beside it, so that no other can have its id
+        # An effect has a list, and so no hash.  It is kept beside its columns, so that no other has its id.
+        key = (id(effect), method)
         if key not in self._made:
             make, made = getattr(effect, method), len(self._columns)
             means = [run.average(make(run.drives[self.temperature_name])) for run in self.runs]
@@ -231,7 +235,7 @@ class Channel:
     degree: int
     offset_per: OffsetPer
     training: Training
-    test: Blocks
+    test: RunsInBlocks
     # What is wrong with its samples, and the rms that this alone makes of a smooth bias, below which no
     # effect can be found; infinite where nothing that is fitted would be the bias.
     faults: Mapping[str, float] = field(default_factory=dict)
@@ -287,7 +291,7 @@ class Channel:
         u = (temperature - self.scale.middle) / self.scale.half_span
         return u[:, None] ** np.arange(count)
 
-    def offset_numbers(self, run: RunBlocks) -> IntArray:
+    def offset_numbers(self, run: RunInBlocks) -> IntArray:
         """Return which of the constants of a run each of its blocks has, (n,), from 0."""
         return run.pose if self.offset_per == "pose" else np.zeros(len(run), np.int64)
 
@@ -304,7 +308,7 @@ class Channel:
         """y of (1), (n,): training block means less the effects that stay as they are."""
         means = np.concatenate([run.mean[self.name] for run in self.training.runs])
         for effect in self.fixed_effects:
-            means = means - self.training.design([Candidate((Part(effect),))]) @ effect.coefficients
+            means = means - self.training.effect_columns([Candidate((Part(effect),))]) @ effect.coefficients
         return means
 
     @cached_property
@@ -321,11 +325,11 @@ class Channel:
         """Columns of X for the constants but the first; their coefficients are differences from that."""
         return slice(self.degree + 1, self.base.shape[1])
 
-    def design(self, model: Sequence[Candidate]) -> FloatArray:
+    def design(self, model: Candidates) -> FloatArray:
         """Return [X Z] of (1), (n, p + k)."""
-        return np.column_stack([self.base, self.training.design(model)])
+        return np.column_stack([self.base, self.training.effect_columns(model)])
 
-    def residual_rms(self, model: Sequence[Candidate]) -> float:
+    def residual_rms(self, model: Candidates) -> float:
         """Return the rms that ordinary least squares leave of training with a model."""
         design = self.design(model)
         return root_mean_square(self.y - design @ least_squares(design, self.y))

@@ -22,26 +22,27 @@ from imumon.models.model import BiasModel
 from ..calibration.cells import ONE_WAY, one_way
 from ..calibration.gravity import TriadErrors
 from . import prepare
-from .blocks import LEAST_PARTS, Blocks, at_poses, common_block_s, survey, white_floor
+from .blocks import LEAST_PIECES, RunsInBlocks, at_poses, common_block_s, survey, white_floor
 from .candidates import Channel, OffsetPer, Training, least_squares
 from .runs import SENSORS, Names, Runs, channels_of
 from .search import PROVEN_GAIN, STAGES, AxisSearch, Progress, search
 from .verdict import ChannelVerdict, decide
 
 HIGHEST_DEGREE = 8  # assumed
-# Where no run has so many blocks (assumed), the search divides them by the first of `BLOCK_FRACTIONS` that
-# makes so many: among few blocks the one with a jump in it decides.
-BLOCK_FRACTIONS, LEAST_SEARCH_BLOCKS = (1, 2, 3), 200
+# The search divides blocks by the first of these that gives the longest run so many blocks (both assumed):
+# among few blocks the one with a jump in it decides.
+BLOCK_DIVISORS = (1, 2, 3)
+LEAST_SEARCH_BLOCKS = 200
 
 
 class Prepared(NamedTuple):
     """What is diagnosed: training and test in blocks, and what is declared of them."""
 
-    train: Blocks
+    train: RunsInBlocks
     temperature_names: Mapping[str, str]  # the temperature of each channel
     degree: int  # of the declared polynomial
-    test: Blocks = ()
-    search_train: Blocks = ()  # the training in the shorter blocks of the search; empty: in those of `train`
+    test: RunsInBlocks = ()
+    search_train: RunsInBlocks = ()  # in the shorter blocks of the search; empty: in those of `train`
     offset_per: OffsetPer = "all"
     model: BiasModel | None = None  # the present model, whose curve is off the blocks already
 
@@ -52,8 +53,8 @@ class Diagnosis:
 
     declared: str
     verdicts: list[ChannelVerdict]
-    train: Blocks
-    test: Blocks
+    train: RunsInBlocks
+    test: RunsInBlocks
     caveats: list[str] = field(default_factory=list)
     model: BiasModel | None = None  # the present one
     length: TriadErrors | None = None  # what follows from |f| = g in several poses
@@ -62,7 +63,7 @@ class Diagnosis:
     @property
     def held_out(self) -> bool:
         """Whether the test is part of the one run that there is."""
-        return any(run.run.woven for run in self.test)
+        return any(run.in_slots.woven for run in self.test)
 
 
 def parse_declared(text: str) -> tuple[int, OffsetPer]:
@@ -107,9 +108,8 @@ def diagnose(
             # The search may have been in shorter blocks than those that are scored; the base is the same.
             per = axes[0].channel.offset_per
             for axis, channel in zip(axes, _channels(data, names, per, data.train), strict=True):
-                scored = replace(
-                    channel, degree=axis.channel.degree, fixed_effects=axis.channel.fixed_effects
-                )
+                base = axis.channel
+                scored = replace(channel, degree=base.degree, fixed_effects=base.fixed_effects)
                 verdicts.append(decide(axis, scored))
             if names[0].startswith("gyro") and any(run.pose.any() for run in data.train):
                 remarks.append(
@@ -129,7 +129,7 @@ def _prepared(
     sensors: Names,
     model: BiasModel | None,
     drivers: Names | None,
-    remarks: list[str],
+    remarks: prepare.Remarks,
 ) -> Prepared:
     """Return what is searched; on what is not, and on limits, it adds to the remarks."""
     degree, offset_per = parse_declared(declared)
@@ -161,16 +161,14 @@ def _prepared(
     if not tested:
         remarks.append("no run can be used as a test: there is no independent proof")
     if len(training) < 2:
-        remarks.append(
-            "one training run: what depends on time and what depends on temperature may look alike"
-        )
+        remarks += ["one training run: what depends on time and what depends on temperature may look alike"]
     # The same runs and no others: separate coefficients have the number of their run.
     search_train = [run.in_blocks_of(search_block_s(training)) for run in training]
     curve_degree = degree if span.thermal else 0
     return Prepared(training, temperature_names, curve_degree, tested, search_train, offset_per, model)
 
 
-def _length(data: Prepared, remarks: list[str]) -> TriadErrors | None:
+def _length(data: Prepared, remarks: prepare.Remarks) -> TriadErrors | None:
     """Return what |f| = g determines of the accelerometers in several poses, and add that in words."""
     forces = [force for run in data.train if (force := run.force) is not None]
     if len(channels_of(["accel"], data.temperature_names)) < 3 or len(forces) < len(data.train):
@@ -185,80 +183,79 @@ def _length(data: Prepared, remarks: list[str]) -> TriadErrors | None:
 def search_sensor(
     data: Prepared, axes: Names, kinds: Names, stages: int = STAGES, progress: Progress = lambda _: None
 ) -> list[list[AxisSearch]]:
-    """Return the search in the axes of a sensor over each base that is possible, a list of its axes each.
-
-    In each pose, and each day, other sensors than gyros have another part of gravity, field or weather, which
-    is not known: they have a constant in each.  So may gyros have, by the earth rate.
-    """
-    is_gyro = axes[0].startswith("gyro")
-    possible: list[OffsetPer] = [data.offset_per] if is_gyro or axes[0].startswith(CLOCK) else []
-    blocks = data.search_train or data.train
-    if not possible or (is_gyro and any(run.pose.max() > run.pose.min() for run in blocks)):
-        possible.append("pose")
-    found = []
+    """Return the search in the axes of a sensor over each base that is possible, a list of its axes each."""
+    # In each pose, and each day, other sensors than gyros have another part of gravity, field or weather,
+    # which is not known: they have a constant in each.  So may gyros have, by the earth rate.
+    runs = data.search_train or data.train
+    possible: list[OffsetPer] = ["pose"]
+    if axes[0].startswith(CLOCK):
+        possible = [data.offset_per]
+    elif axes[0].startswith("gyro"):
+        turned = any(run.pose.max() > run.pose.min() for run in runs)
+        possible = [data.offset_per, *possible] if turned else [data.offset_per]
+    searched = []
     for offset_per in possible:
-        channels = _channels(data, axes, offset_per, blocks)
+        channels = _channels(data, axes, offset_per, runs)
         span = survey(channels[0].training.runs, [data.temperature_names[n] for n in axes], data.degree)
-        found.append(search(channels, span, kinds, stages, progress))
+        searched.append(search(channels, span, kinds, stages, progress))
         if any(channel.refits_model for channel in channels):
             fixed = [channel.with_model_fixed() for channel in channels]
-            found.append(search(fixed, span, kinds, stages, progress))
-    return found
+            searched.append(search(fixed, span, kinds, stages, progress))
+    return searched
 
 
-def search_block_s(blocks: Blocks) -> float:
+def search_block_s(runs: RunsInBlocks) -> float:
     """Return the length of the blocks to search in, s: three slots or more, which show the white floor."""
-    longest = max(map(len, blocks))
-    slots = min(run.slots_per_block for run in blocks)
-    possible = [divisor for divisor in BLOCK_FRACTIONS if slots >= LEAST_PARTS * divisor]
+    longest = max(map(len, runs))
+    slots = min(run.slots_per_block for run in runs)
+    possible = [divisor for divisor in BLOCK_DIVISORS if slots >= LEAST_PIECES * divisor]
     enough = (divisor for divisor in possible if divisor * longest >= LEAST_SEARCH_BLOCKS)
-    return blocks[0].block_s / next(enough, possible[-1])  # the shortest where none is enough
+    return runs[0].block_s / next(enough, possible[-1])  # the shortest where none is enough
 
 
-def _channels(data: Prepared, names: Names, offset_per: OffsetPer, blocks: Blocks) -> list[Channel]:
+def _channels(data: Prepared, names: Names, offset_per: OffsetPer, runs: RunsInBlocks) -> list[Channel]:
+    """Return these channels over one base, trained on these runs."""
     test = data.test
     if offset_per == "pose":
-        blocks, test = ([at_poses(run) for run in runs] for runs in (blocks, test))
+        runs, test = ([at_poses(run) for run in each] for each in (runs, test))
     temperatures = {data.temperature_names[name] for name in names}
-    trainings = {temperature: Training(blocks, temperature) for temperature in temperatures}
-    found = []
+    trainings = {temperature: Training(runs, temperature) for temperature in temperatures}
+    channels = []
     for name in names:
         training = trainings[data.temperature_names[name]]
-        floor = white_floor(name, blocks)
-        faults = prepare.faults([run.run for run in blocks], name, floor.sd)
+        floor = white_floor(name, runs)
+        faults = prepare.faults([run.in_slots for run in runs], name, floor.sd)
         # What is a polynomial is part of the curve.
         effects = (
             tuple(effect for effect in data.model.channels[name].effects if effect.polynomial() is None)
             if data.model
             else None
         )
-        found.append(Channel(name, floor, data.degree, offset_per, training, test, faults, effects))
-    return found
+        channels.append(Channel(name, floor, data.degree, offset_per, training, test, faults, effects))
+    return channels
 
 
 def likeliest(searched: Sequence[list[AxisSearch]], *, live: bool = False) -> list[AxisSearch]:
-    """Return the search over the base that is likeliest with what was found beside it: S summed over axes.
-
-    A present model is fitted anew only where that is proven; live, where it is likelier: what is kept has to
-    win on later data first.  Constants in each pose are for the earth rate, and are preferred by
-    `PROVEN_GAIN`: what they explain as well is no effect.  Larger ones are refused.  Live their number has no
-    price: one session has hardly more poses than a sensitivity to g has coefficients.
-    """
+    """Return the search over the base that is likeliest with what was found beside it: S summed over axes."""
+    # A present model is fitted anew only where that is proven; live, where it is likelier: what is kept has
+    # to win on later data first.  Constants in each pose are for the earth rate, and are preferred by
+    # `PROVEN_GAIN`: what they explain as well is no effect.  Larger ones are refused.  Live their number has
+    # no price: one session has hardly more poses than a sensitivity to g has coefficients.
     # Where poses are the only base, as of all sensors but gyros, there is nothing to prefer them to.
     several = len({axes[0].channel.offset_per for axes in searched}) > 1
 
     def preference(every: list[AxisSearch]) -> float:
         axes = [axis for axis in every if not axis.channel.faulty] or every
-        preferred = sum(axis.criterion(axis.model) for axis in axes)
+        s = sum(axis.criterion(axis.model) for axis in axes)
         if not live and any(axis.channel.refits_model for axis in axes):
-            preferred -= PROVEN_GAIN
-        if several and axes[0].channel.offset_per == "pose":
-            if any(map(_exceeds_earth_rate, axes)):
-                return -np.inf
-            number = sum(len(axis.channel.offsets[0]) - 1 for axis in axes) if live else 0
-            # S has the price of these constants, which is given back.
-            preferred += PROVEN_GAIN + axes[0].likelihood.price * number
-        return preferred
+            s -= PROVEN_GAIN
+        if not several or axes[0].channel.offset_per != "pose":
+            return s
+        if any(map(_exceeds_earth_rate, axes)):
+            return -np.inf
+        # S has the price of these constants, which is given back live.
+        free = sum(len(axis.channel.offsets[0]) - 1 for axis in axes) if live else 0
+        return s + (PROVEN_GAIN + axes[0].likelihood.price * free)
 
     return max(searched, key=preference)
 
@@ -268,6 +265,6 @@ def _exceeds_earth_rate(axis: AxisSearch) -> bool:
     channel = axis.channel
     coefficients = least_squares(channel.design(axis.model), channel.y)
     constants = np.append(0.0, coefficients[channel.offset_columns])  # less the first of all
-    runs = channel.offsets[0][:, 0]  # another run has another turn-on bias, too
+    runs = channel.offsets[0][:, 0]  # of each constant: another run has another turn-on bias, too
     # From along an axis to against it, and 5 % for the scale of the gyro (assumed).
     return any(np.ptp(constants[runs == run]) > 2.1 * EARTH_RATE for run in np.unique(runs))

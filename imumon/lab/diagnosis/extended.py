@@ -12,38 +12,36 @@ from imumon.models.curves.polynomial import HIGHEST_ORDER, PolynomialCurve
 from imumon.models.model import UNITS, BiasModel, ChannelModel, TrainedOn
 from imumon.version import __version__
 
-from .blocks import RunBlocks
+from .blocks import RunInBlocks
 from .candidates import Channel
 from .diagnose import Diagnosis
 from .fit import Fit
 from .verdict import ChannelVerdict
 
+# Range of a curve over the one that it was fitted on, so that an end is not in and out by turns.  Assumed.
 WIDENED = 1.01
-"""Range of a curve over the one that it was fitted on, so that an end is not in and out by turns."""
 
 
 def extended_model(diagnosis: Diagnosis) -> BiasModel:
     """Return the declared model with what carries over of the claims, for every channel, and the channels of
-    the present model that were not diagnosed.
-
-    A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
-    """
-    present, recorded = diagnosis.model, [blocks for blocks in diagnosis.train if blocks.run.origin]
-    found = {verdict.name: _channel(verdict, present) for verdict in with_model(diagnosis)}
-    channels = (present.channels if present else {}) | found
+    the present model that were not diagnosed."""
+    # A jump, a turn-on offset and an amplitude that is another in each run are in the report alone.
+    present, recorded = diagnosis.model, [run for run in diagnosis.train if run.in_slots.origin]
+    diagnosed = {verdict.name: _channel(verdict, present) for verdict in with_model(diagnosis)}
+    channels = (present.channels if present else {}) | diagnosed
     trained = [*map(trained_on, recorded)]
-    earlier = present.trained_on if present and len(channels) > len(found) else []
+    earlier = present.trained_on if present and len(channels) > len(diagnosed) else []
     update: dict[str, Any] = {
         "made_by": f"imumon {__version__}",
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         "block_s": diagnosis.train[0].block_s,
-        "trained_on": [*(run for run in earlier if run not in trained), *trained],
+        "trained_on": [*(one for one in earlier if one not in trained), *trained],
         "channels": channels,
     }
     if present:
         return present.model_copy(update=update)
     for name in ("device", "serial"):
-        distinct = {getattr(blocks.run.origin, name) for blocks in recorded}
+        distinct = {getattr(run.in_slots.origin, name) for run in recorded}
         update |= {name: distinct.pop()} if len(distinct) == 1 else {}
     return BiasModel(**update)
 
@@ -56,9 +54,10 @@ def with_model(diagnosis: Diagnosis) -> list[ChannelVerdict]:
 def _channel(verdict: ChannelVerdict, model: BiasModel | None) -> ChannelModel:
     """Return the model of a channel: the present one, or none at all, with what was fitted."""
     fitted = verdict.after if verdict.predicts else verdict.before
-    channel, rms = verdict.channel, (verdict.test_after if verdict.predicts else verdict.test_before).rms
+    score = verdict.test_after if verdict.predicts else verdict.test_before
+    rms = score.rms if np.isfinite(score.rms) else fitted.train_rms
+    channel = verdict.channel
     middle, half = channel.scale
-    rms = rms if np.isfinite(rms) else fitted.train_rms
     residual = float(np.sqrt(max(rms**2 - channel.floor.sd**2, 0.0)))
     new = {
         "unit": UNITS[verdict.name],
@@ -80,10 +79,9 @@ def without_unknown_constant(fitted: Fit, name: str, model: BiasModel | None) ->
 
 
 def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: float) -> ChannelModel:
-    """Return the present model with the fitted polynomial more in its curve, and what carries over beside it.
-
-    To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
-    """
+    """Return the present model with the fitted polynomial more in its curve, and what carries over beside
+    it."""
+    # To a curve that is no polynomial itself it is added as an effect.  The curve holds where it was fitted.
     curve = present.curve
     middle, half = channel.scale
     low, high = middle - half, middle + half
@@ -114,15 +112,15 @@ def refitted(present: ChannelModel, channel: Channel, fitted: Fit, residual_sd: 
     return present.model_copy(update=update | {"curve": curve, "effects": others})
 
 
-def trained_on(blocks: RunBlocks) -> TrainedOn:
+def trained_on(run: RunInBlocks) -> TrainedOn:
     """Return what a model states of a run that it was fitted to."""
-    origin, temperature = blocks.run.origin, np.concatenate(list(blocks.temperature.values()))
+    origin, temperature = run.in_slots.origin, np.concatenate(list(run.temperature.values()))
     assert origin
     return TrainedOn(
         session=origin.session,
         run=origin.index,
         sha256=origin.sha256,
-        rest_s=float(blocks.weight.sum()) * blocks.block_s / blocks.slots_per_block,
-        blocks=len(blocks),
+        rest_s=float(run.weight.sum()) * run.block_s / run.slots_per_block,
+        blocks=len(run),
         temperature_range_degc=[float(temperature.min()), float(temperature.max())],
     )

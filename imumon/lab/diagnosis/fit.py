@@ -13,14 +13,13 @@ import numpy as np
 from imumon.blocks import BoolArray, FloatArray, IntArray
 from imumon.effects.base import Drive, Effect, Survey
 
-from .blocks import RunBlocks
-from .candidates import Candidate, Channel, Part, least_squares, pseudo_inverse, root_mean_square
+from .blocks import RunInBlocks
+from .candidates import Candidate, Candidates, Channel, Part, least_squares, pseudo_inverse, root_mean_square
 from .likelihood import Likelihood
 
-LEAST_TEST_BLOCKS = 10
-"""Of fewer there is no rms of the test."""
+LEAST_TEST_BLOCKS = 10  # of fewer there is no rms of the test (assumed)
+# Of those that share a constant: less the mean of fewer, too little is left of their own noise.  Assumed.
 LEAST_OFFSET_BLOCKS = 4
-"""Of those that share a constant: less the mean of fewer, too little is left of their own noise."""
 
 
 class FittedPart(NamedTuple):
@@ -41,8 +40,9 @@ class FittedPart(NamedTuple):
         return not self.separate_runs or same
 
     def known_in(self, run: int | None) -> bool:
-        """Whether a training run has separate coefficients: an offset against the first run is 0 in that."""
-        return run in self.separate_runs or (run is not None and self.effect.scope == "run")
+        """Whether a training run has separate coefficients (in the first an offset against it is 0); None: a
+        run with a power-on of its own, which has not."""
+        return run is not None and (run in self.separate_runs or self.effect.scope == "run")
 
 
 class Fit(NamedTuple):
@@ -52,6 +52,8 @@ class Fit(NamedTuple):
     as a jump: for these columns Z_s of Z their mean over training stands::
 
         constant = constant_weights' (b, c) = mean of the constants of all runs or poses + mean of Z_s c_s
+
+    Of a jump by c in the middle of the training Z_s c_s is 0 before it, c after it, and c / 2 in the mean.
     """
 
     declared: FloatArray  # coefficients of the powers of u, the constant first, (degree + 1,)
@@ -71,13 +73,13 @@ class Fit(NamedTuple):
         return any(part.carries_over for part in self.parts)
 
 
-def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
+def fit(channel: Channel, model: Candidates) -> Fit:
     """Fit the declared model and candidates to training by ordinary least squares."""
     design = channel.design(model)
     coefficients = least_squares(design, channel.y)
     offsets = channel.offset_columns
     # Constants are b_0, and b_0 plus each offset from it: their mean.
-    constant_weights = np.zeros(len(coefficients))
+    constant_weights = np.zeros_like(coefficients)
     constant_weights[0] = 1.0
     constant_weights[offsets] = 1.0 / (offsets.stop - offsets.start + 1)
     no_start = np.empty((0, 0))
@@ -89,14 +91,15 @@ def fit(channel: Channel, model: Sequence[Candidate]) -> Fit:
         for part, rows in zip(candidate.parts, _by_part(candidate, coefficients[columns]), strict=True):
             effect = part.effect.with_coefficients(rows.mean(axis=0))
             parts.append(FittedPart(effect, part.separate_runs, rows, start))
-            if not parts[-1].carries_over:  # the only part of a candidate: where there are two, both do
+            if not parts[-1].carries_over:
+                # All columns of the candidate: where it has two parts, both carry over.
                 constant_weights[columns] = design[:, columns].mean(axis=0)
     declared = np.append(constant_weights @ coefficients, coefficients[1 : offsets.start])
     mean_of_separate = float(constant_weights[offsets.stop :] @ coefficients[offsets.stop :])
     return Fit(declared, constant_weights, mean_of_separate, parts, channel.y - design @ coefficients)
 
 
-def _layout(channel: Channel, model: Sequence[Candidate]) -> Iterator[tuple[Candidate, slice, slice]]:
+def _layout(channel: Channel, model: Candidates) -> Iterator[tuple[Candidate, slice, slice]]:
     """Yield each candidate with its columns of the design: those of its effects, and of its free start."""
     first = channel.base.shape[1]
     for candidate in model:
@@ -142,20 +145,20 @@ def score_test(channel: Channel, fitted: Fit, settled_as: Fit | None = None) -> 
     same for the models that are compared.
     """
     trained = channel.temperature
-    names = [run.run.name for run in channel.training.runs]
+    names = [run.in_slots.name for run in channel.training.runs]
     temperature_name = channel.training.temperature_name
     predicted, estimated, counts = [], [], []
     inside, continues = 0, False
     for run in channel.test:
         # The training run that it continues; None where it has its own power-on.
-        continued = names.index(run.run.begun_in) if run.run.begun_in in names else None
+        continued = names.index(run.in_slots.begun_in) if run.in_slots.begun_in in names else None
         continues |= any(part.known_in(continued) for part in fitted.parts)
         t, drive = run.temperature[temperature_name], run.drives[temperature_name]
         counting = (t >= trained.min()) & (t <= trained.max())
         inside += int(counting.sum())
         for part in (settled_as or fitted).parts:
-            # All of a block has to be settled: a mean of 1, but for rounding.
-            counting &= run.average(part.effect.settled(drive).astype(np.float64)) > 0.99
+            settled_share = run.average(part.effect.settled(drive).astype(np.float64))
+            counting &= settled_share > 0.99  # 1, but for rounding
         residual = run.mean[channel.name] - _predicted_bias(channel, run, drive, fitted, continued)
         if channel.offset_per != "all":
             residual, counting = _without_offsets(residual, counting, channel.offset_numbers(run))
@@ -164,7 +167,7 @@ def score_test(channel: Channel, fitted: Fit, settled_as: Fit | None = None) -> 
         estimated.append(residual - _estimated_bias(channel, run, unknown, residual, counting))
         counts.append(counting)
     coverage = inside / sum(map(len, counts)) if channel.test else np.nan
-    scored_share = sum(int(part.sum()) for part in counts) / max(inside, 1) if channel.test else np.nan
+    scored_share = sum(map(np.count_nonzero, counts)) / max(inside, 1) if channel.test else np.nan
     rms, estimated_rms = _rms_of(predicted, counts), _rms_of(estimated, counts)
     return Score(rms, estimated_rms, coverage, scored_share, predicted, estimated, counts, continues)
 
@@ -185,12 +188,10 @@ def _without_offsets(
 
 
 def _predicted_bias(
-    channel: Channel, run: RunBlocks, drive: Drive, fitted: Fit, continued: int | None
+    channel: Channel, run: RunInBlocks, drive: Drive, fitted: Fit, continued: int | None
 ) -> FloatArray:
-    """Return what a fitted model predicts of a test run, (n,), which may continue a training run.
-
-    What does not carry over goes on from a training run; in other runs the constant has its mean (`Fit`).
-    """
+    """Return what a fitted model predicts of a test run, (n,), which may continue a training run."""
+    # What does not carry over goes on from a training run; in other runs the constant has its mean (`Fit`).
     temperature = run.temperature[channel.training.temperature_name]
     bias = channel.powers(temperature, len(fitted.declared)) @ fitted.declared
     for part in fitted.parts:
@@ -204,12 +205,10 @@ def _predicted_bias(
 
 
 def _estimated_bias(
-    channel: Channel, run: RunBlocks, parts: list[FittedPart], residual: FloatArray, counting: BoolArray
+    channel: Channel, run: RunInBlocks, parts: list[FittedPart], residual: FloatArray, counting: BoolArray
 ) -> FloatArray:
-    """Return the parts that do not carry over, fitted to the residual of the blocks that count, (n,).
-
-    That is a constant, the coefficients that each run may have, and one jump where the model has jumps.
-    """
+    """Return the parts that do not carry over, fitted to the residual of the blocks that count, (n,)."""
+    # That is a constant, the coefficients that each run may have, and one jump where the model has jumps.
     if not parts or counting.sum() < LEAST_TEST_BLOCKS:
         return np.zeros(len(run))
     drive = run.drives[channel.training.temperature_name]
@@ -247,17 +246,17 @@ class PartSigma(NamedTuple):
 
 
 def sigmas(
-    channel: Channel, span: Survey, likelihood: Likelihood, model: Sequence[Candidate]
+    channel: Channel, span: Survey, likelihood: Likelihood, model: Candidates
 ) -> tuple[FloatArray, list[list[PartSigma]]]:
     """Return the covariance of the declared coefficients, (degree + 1, degree + 1), and the standard
     deviations of each candidate's parts, with the noise that the model is likeliest with.
 
     theta is where the likelihood is largest, b and c are those of ordinary least squares beside it.  Near the
     truth both are linear in the noise e.  With A = [X Z], D the slopes in ln theta, V = L L' of the noise,
-    e = s L w and w white, of variance 1, the errors are N w and P w::
+    e = sigma L w and w white, of variance 1, the errors are N w and P w::
 
-        of ln theta:    N = s M,                          M the last rows of pinv(L^-1 [A D])           (9)
-        of (b, c):      P = s (pinv(A) L - pinv(A) D M)
+        of ln theta:    N = sigma M,                      M the last rows of pinv(L^-1 [A D])           (9)
+        of (b, c):      P = sigma (pinv(A) L - pinv(A) D M)
 
     Least squares take e for part of the model, pinv(A) e, and so they do D times the error of ln theta.
     """
@@ -268,31 +267,32 @@ def sigmas(
     whitened, _ = likelihood.whitened(np.column_stack([a, d, channel.y]), noise)
     columns, y = whitened[:, :-1], whitened[:, -1]
     inverse = pseudo_inverse(columns)
-    s = np.sqrt(np.sum((y - columns @ (inverse @ y)) ** 2) / max(len(y) - columns.shape[1], 1))
+    rss = np.sum((y - columns @ (inverse @ y)) ** 2)
+    sigma = np.sqrt(rss / max(len(y) - columns.shape[1], 1))
     m = inverse[a.shape[1] :]
-    p = s * (likelihood.times_l(pinv_a, noise) - (pinv_a @ d) @ m)
+    p = sigma * (likelihood.times_l(pinv_a, noise) - (pinv_a @ d) @ m)
     sd_of_linear = np.linalg.norm(p, axis=1)
-    sd_of_log = iter((s * np.linalg.norm(m, axis=1)).tolist())  # in the order of the columns of D
-    found = []
+    sd_of_log = iter((sigma * np.linalg.norm(m, axis=1)).tolist())  # in the order of the columns of D
+    of_each = []
     for candidate, effect_columns, _ in _layout(channel, model):
         # The sd of theta is theta times that of its logarithm.
         sd_of_theta = [
             {name: theta * next(sd_of_log) for name, theta in _theta(part).items()}
             for part in candidate.parts
         ]
-        found.append([*map(PartSigma, _by_part(candidate, sd_of_linear[effect_columns]), sd_of_theta)])
+        of_each.append([*map(PartSigma, _by_part(candidate, sd_of_linear[effect_columns]), sd_of_theta)])
     # The declared coefficients are the constant, a weighted sum, and the powers as they are.
     declared = np.vstack([fit(channel, model).constant_weights @ p, p[1 : channel.degree + 1]])
-    return declared @ declared.T, found
+    return declared @ declared.T, of_each
 
 
 def _theta(part: Part) -> dict[str, float]:
     """Return the nonlinear parameters of a part that are not zero."""
-    found = {name: float(getattr(part.effect, name)) for name in part.effect.nonlinear}
-    return {name: value for name, value in found.items() if value > 0.0}
+    effect = part.effect
+    return {name: theta for name in effect.nonlinear if (theta := float(getattr(effect, name))) > 0.0}
 
 
-def _slopes(channel: Channel, span: Survey, model: Sequence[Candidate]) -> FloatArray:
+def _slopes(channel: Channel, span: Survey, model: Candidates) -> FloatArray:
     """Return D of (9), how the model changes with the logarithm of each nonlinear parameter, (n, thetas)."""
     coefficients = least_squares(channel.design(model), channel.y)
     slopes = [np.empty((len(channel.y), 0))]
@@ -305,7 +305,7 @@ def _slopes(channel: Channel, span: Survey, model: Sequence[Candidate]) -> Float
                 change = min(0.01, abs(part.effect.moved(name, 0.25, span) / theta - 1.0))
                 values = theta * (1.0 - change), theta * (1.0 + change)
                 moved = [part.effect.model_copy(update={name: value}) for value in values]
-                designs = [channel.training.design([candidate.with_effect(at, effect)]) for effect in moved]
-                below, above = (design @ of_candidate for design in designs)
+                models = [[candidate.with_effect(at, effect)] for effect in moved]
+                below, above = (channel.training.effect_columns(one) @ of_candidate for one in models)
                 slopes.append((above - below) / (2.0 * change))
     return np.column_stack(slopes)

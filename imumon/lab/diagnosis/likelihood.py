@@ -7,7 +7,7 @@ Rows of y, X and Z are blocks, n over all runs.  With V = L L' a tilde means beh
     RSS(X, Z) = v' v - g' G^-1 g            g = B' v,   G = B' B,   B = Z̃ - Q Q' Z̃                    (7)
 
 (7) is the theorem of Frisch, Waugh and Lovell.  L^-1 is a Kalman filter for each run, in linear time: its
-state x is the random walk and a Gauss-Markov process for each tau, the bias their sum, in units of s::
+state x is the random walk and a Gauss-Markov process for each tau, the bias their sum, in units of sigma::
 
     x(t + dt) = Phi x(t) + w,         Phi = diag(1, exp(-dt / tau_i))                                 (8)
     cov w     = diag(q dt / 7200 s, (r / 6) (1 - exp(-2 dt / tau_i)))
@@ -27,17 +27,14 @@ from imumon.compiled import njit
 
 from .candidates import Term, Training, norms
 
+# Flicker r and random walk q, variances over sigma², that of the white noise of a full block.
 Noise = tuple[float, float]
-"""Flicker r and random walk q, variances over that of the white noise of a full block."""
-
+# Half a decade apart: from one block to longer than most runs.
 TAUS_S = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0])
-"""s, half a decade apart: from one block to longer than most runs."""
-WALK_S = 7200.0
-"""s: q is the variance of the walk after this time."""
+WALK_S = 7200.0  # q is the variance of the walk after this time, a unit only
+# Half a decade to a decade apart; each likelihood is the largest over these.
 NOISE_GRID = [(r, q) for r in (0.0, 0.3, 1.0, 3.0, 10.0, 100.0, 1e3) for q in (0.0, 1.0, 10.0, 100.0, 1e3)]
-"""Half a decade to a decade apart; each likelihood is the largest over these."""
-AT_ONCE = 256
-"""Candidates that are whitened at once: all would take gigabytes where there are days of them."""
+AT_ONCE = 256  # candidates that are whitened at once: all would take gigabytes where there are days of them
 
 
 class Likelihood:
@@ -49,79 +46,78 @@ class Likelihood:
         self._training = training
         # For each noise: Phi and cov w of (8), by run, and the diagonal of L, (n,).
         self._laws = {noise: [law(run.time_s, noise) for run in training.runs] for noise in NOISE_GRID}
+        # Of no columns, for the diagonal alone.
         self._diagonal = {noise: self.whitened(np.empty((self.n, 0)), noise)[1] for noise in NOISE_GRID}
 
     def maximum(self, y: FloatArray, base: FloatArray) -> tuple[float, Noise]:
         """Return loglik of y (n,) beside a base (n, p) at its maximum over the grid, and the noise there."""
-        residuals = [(noise, self.residual(y, base, noise)[0]) for noise in NOISE_GRID]
+        residuals = [(noise, self.v_and_q(y, base, noise)[0]) for noise in NOISE_GRID]
         return max((float(self._loglik(v @ v, noise)), noise) for noise, v in residuals)
 
     def predictive(self, y: FloatArray, early: BoolArray) -> float:
-        """Return loglik of the later values given the early ones (n,), s, r and q fitted to these."""
-        found = []
+        """Return loglik of the later values given the early ones (n,), sigma, r and q fitted to these."""
+        each = []
         for noise in NOISE_GRID:
             innovation, sd = self.whitened(y[:, None], noise)[0][:, 0], self._diagonal[noise]
             variance = np.mean(innovation[early] ** 2)
             loglik_early = -0.5 * early.sum() * np.log(variance) - np.log(sd[early]).sum()
-            later = -0.5 * np.sum(innovation[~early] ** 2) / variance
-            found.append((loglik_early, float(later - np.log(sd[~early] * np.sqrt(variance)).sum())))
-        return max(found)[1]
+            loglik_later = -0.5 * np.sum(innovation[~early] ** 2) / variance
+            loglik_later -= np.log(sd[~early] * np.sqrt(variance)).sum()
+            each.append((loglik_early, float(loglik_later)))
+        return max(each)[1]  # with the noise by which the early ones are likeliest
 
     def scan(
         self, y: FloatArray, base: FloatArray, candidates: Sequence[Sequence[Term]], grid: Sequence[Noise]
     ) -> FloatArray:
         """Return loglik of the base with each of the candidates, its maximum over a grid, (candidates,)."""
         if len(candidates) > AT_ONCE:
-            parts = [candidates[at : at + AT_ONCE] for at in range(0, len(candidates), AT_ONCE)]
-            return np.concatenate([self.scan(y, base, part, grid) for part in parts])
+            batches = [candidates[at : at + AT_ONCE] for at in range(0, len(candidates), AT_ONCE)]
+            return np.concatenate([self.scan(y, base, batch, grid) for batch in batches])
         terms = list(dict.fromkeys(term for candidate in candidates for term in candidate))
         place = {term: at for at, term in enumerate(terms)}
         indices = [[place[term] for term in candidate] for candidate in candidates]
         groups = _by_size(indices, np.array([(term.spectrum, term.run) for term in terms]))
         columns, best = self._training.matrix(terms), np.full(len(candidates), -np.inf)
         for noise in grid:
-            residual, basis = self.residual(y, base, noise)
-            rows = self.whitened(columns, noise)[0].T.copy()
+            residual, basis = self.v_and_q(y, base, noise)
+            rows = self.whitened(columns, noise)[0].T.copy()  # a term side by side in memory
             explained = _explained(residual, basis, rows, groups, len(candidates))
             best = np.maximum(best, self._loglik(residual @ residual - explained, noise))
         return best
 
-    def residual(self, y: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
+    def v_and_q(self, y: FloatArray, base: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return v (n,) and Q (n, p) of (6)."""
-        columns, _ = self.whitened(np.column_stack([base, y]), noise)
-        base, y = columns[:, :-1], columns[:, -1]
-        left, values, _ = np.linalg.svd(base / norms(base), full_matrices=False)
+        whitened, _ = self.whitened(np.column_stack([base, y]), noise)
+        white_base, white_y = whitened[:, :-1], whitened[:, -1]
+        left, values, _ = np.linalg.svd(white_base / norms(white_base), full_matrices=False)
         basis = left[:, values > 1e-10 * values[0]] if len(values) else left  # without what adds nothing
-        return y - basis @ (basis.T @ y), basis
+        return white_y - basis @ (basis.T @ white_y), basis
 
     def whitened(self, columns: FloatArray, noise: Noise) -> tuple[FloatArray, FloatArray]:
         """Return L^-1 columns, (n, k), and the diagonal of L, (n,), for V of (1)."""
         each = zip(self._laws[noise], self._training.runs, self._training.split(columns), strict=True)
-        found = [whiten(*noise_law, run.white, rows) for noise_law, run, rows in each]
-        return np.concatenate([rows for rows, _ in found]), np.concatenate([sd for _, sd in found])
+        rows, sd = zip(*(whiten(*noise_law, run.white, part) for noise_law, run, part in each), strict=True)
+        return np.concatenate(rows), np.concatenate(sd)
 
     def times_l(self, rows: FloatArray, noise: Noise) -> FloatArray:
-        """Return Y = rows L, (k, n), of rows (k, n).
-
-        L^-1 of each run is what `whitened` returns of an identity: L^-1' Y' = rows' is solved run by run.
-        """
+        """Return Y = rows L, (k, n), of rows (k, n)."""
+        # L^-1 of each run is what `whitened` returns of an identity: L^-1' Y' = rows' is solved run by run.
         most = max(map(len, self._training.runs))
-        l_inverse, _ = self.whitened(
-            np.vstack([np.eye(len(run), most) for run in self._training.runs]), noise
-        )
+        identities = np.vstack([np.eye(len(run), most) for run in self._training.runs])
+        l_inverse, _ = self.whitened(identities, noise)
         each = zip(self._training.split(l_inverse), self._training.split(rows.T), strict=True)
-        found = [solve_triangular(one[:, : len(one)], of_run, trans="T", lower=True) for one, of_run in each]
-        return np.concatenate(found).T
+        solved = [solve_triangular(one[:, : len(one)], of_run, trans="T", lower=True) for one, of_run in each]
+        return np.concatenate(solved).T
 
     def _loglik(self, rss: npt.ArrayLike, noise: Noise) -> FloatArray:
-        """Return loglik by (2) of sums of squares of whitened residuals, s² = RSS / n."""
+        """Return loglik by (2) of sums of squares of whitened residuals, sigma² = RSS / n."""
         half_ln_det = np.log(self._diagonal[noise]).sum()
         return np.asarray(-0.5 * self.n * np.log(np.maximum(rss, 1e-300) / self.n) - half_ln_det)
 
 
 def noise_no_larger(than: Noise) -> list[Noise]:
     """Return every noise of the grid that is no larger: a better model leaves less for it to explain.  What a
-    walk explained may have been flicker and an effect, or the other way round: both together are less."""
+    walk explained may have been flicker and an effect, or the other way round: so the sum counts."""
     return [noise for noise in NOISE_GRID if sum(noise) <= sum(than)]
 
 
@@ -133,26 +129,25 @@ _Group = tuple[IntArray, IntArray, BoolArray]
 def _by_size(candidates: Sequence[Sequence[int]], spectra: IntArray) -> list[_Group]:
     """Return the candidates by their number of terms (none: in no group); `spectra` has the spectrum, or -1,
     and the run of each term, (terms, 2)."""
-    found = []
+    groups = []
     for size in sorted({len(terms) for terms in candidates} - {0}):
         numbers = [at for at, terms in enumerate(candidates) if len(terms) == size]
         terms = np.array([candidates[at] for at in numbers])
         of_terms = spectra[terms]
+        # Of the same spectrum and run, and of a spectrum at all.
         one_sign = (of_terms[:, :, None] == of_terms[:, None]).all(-1) & (of_terms[..., :1] >= 0)
-        found.append((np.array(numbers), terms, one_sign))
-    return found
+        groups.append((np.array(numbers), terms, one_sign))
+    return groups
 
 
 def _explained(
     residual: FloatArray, basis: FloatArray, rows: FloatArray, groups: Sequence[_Group], count: int
 ) -> FloatArray:
-    """Return g' G^-1 g of (7) for each of `count` candidates; `rows` is Z̃' of all their terms, (k, n).
-
-    Columns are normalised: their norm beside the base is 1, so that the diagonal of G is.
-    """
+    """Return g' G^-1 g of (7) for each of `count` candidates; `rows` is Z̃' of all their terms, (k, n)."""
+    # Columns are normalised: their norm beside the base is 1, so that the diagonal of G is.
     beside = rows - (rows @ basis) @ basis.T
     norm = np.linalg.norm(beside, axis=1)
-    usable = norm > 1e-5 * np.linalg.norm(rows, axis=1)  # else the base explains it
+    usable = norm > 1e-5 * np.linalg.norm(rows, axis=1)  # else the base explains it but for rounding
     beside /= np.where(usable, norm, np.inf)[:, None]
     g_of_terms = beside @ residual
     explained = np.zeros(count)
@@ -160,8 +155,8 @@ def _explained(
         g, z = g_of_terms[terms], beside[terms]
         # A term that the base explains has a zero row: one on the diagonal makes its coefficient zero; 1e-9
         # lets collinear columns be solved for.
-        diagonal = 1e-9 + (~usable[terms])
-        gram = z @ z.transpose(0, 2, 1) + diagonal[:, :, None] * np.eye(terms.shape[1])
+        ridge = np.where(usable[terms], 1e-9, 1.0)
+        gram = z @ z.transpose(0, 2, 1) + ridge[:, :, None] * np.eye(terms.shape[1])
         c = np.linalg.solve(gram, g[:, :, None])[:, :, 0]
         both_signs = one_sign & (c[:, :, None] * c[:, None] < 0)
         explained[numbers] = np.where(both_signs.any(axis=(1, 2)), 0.0, np.einsum("ij,ij->i", c, g))

@@ -26,21 +26,21 @@ from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, gatherer_of, kept_
 from . import prepare
 from .blocks import LEAST_BLOCKS, common_block_s, make_blocks, survey
 from .candidates import Training
+from .claims import CLEAN_RESIDUAL
 from .diagnose import Prepared, likeliest, search_sensor
 from .extended import refitted, trained_on, without_unknown_constant
 from .fit import LEAST_TEST_BLOCKS, fit
 from .likelihood import Likelihood
-from .runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Origin, Run, further_columns
+from .runs import DRIVERS, LONGEST_GAP_S, BoundedRun, Names, Origin, Run, further_columns
 from .search import AxisSearch, gain_bar
-from .verdict import CLEAN_RESIDUAL
 
 # The first search has forty means of 30 s, the least that a diagnosis needs; the next ones follow at even
-# distances, so that nothing stays unnoticed for longer.
+# distances (assumed), so that nothing stays unnoticed for longer than that.
 FIRST_SEARCH_S, SEARCH_EVERY_S = 1200.0, 600.0
+# Logarithm of the likelihood ratio (half a gain in BIC) by which a model wins: 1 in 3000 by chance.
 DECISIVE = 8.0
-"""Logarithm of the likelihood ratio (half a gain in BIC) by which a model wins: 1 in 3000 by chance."""
+# Effects that a model file can have.
 LASTING = [name for name, kind in EFFECTS.items() if kind.scope not in ("run", "event")]
-"""Effects that a model file can have."""
 
 
 class Better(NamedTuple):
@@ -54,7 +54,7 @@ class Better(NamedTuple):
     model: ChannelModel
 
 
-def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[Better]:
+def better_models(run: Run, model: BiasModel, channels: Names) -> list[Better]:
     """Return a better model of each channel that lacks an effect.
 
     It is searched from the present model.  At most one effect of each channel is named, where the gain over
@@ -65,17 +65,17 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     effects = [effect for name in channels for effect in model.channels[name].effects]
     drivers = prepare.usable_drivers([run], [], used, None, effects, [])
     left = prepare.without_curves(run, model, channels)
-    blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
-    if len(blocks) < LEAST_BLOCKS:
+    in_blocks = make_blocks(left, channels, used, drivers, common_block_s([run]))
+    if len(in_blocks) < LEAST_BLOCKS:
         return []
-    degree = prepare.CUBIC_DEGREE if survey([blocks], used, 0).thermal else 0
-    data = Prepared([blocks], temperatures, degree, model=model)
+    degree = prepare.CUBIC_DEGREE if survey([in_blocks], used, 0).thermal else 0
+    data = Prepared([in_blocks], temperatures, degree, model=model)
     searched = search_sensor(data, channels, LASTING, stages=1)
-    found = likeliest(searched, live=True)
-    bases = {axes[0].channel.offset_per for axes in searched}
-    if found[0].channel.offset_per == "pose" and len(bases) > 1:
+    axes = likeliest(searched, live=True)
+    bases = {every[0].channel.offset_per for every in searched}
+    if axes[0].channel.offset_per == "pose" and len(bases) > 1:
         return []  # it may be the earth rate: `imumon diagnose` has more sessions to decide
-    improved = [axis for axis in found if any(not finding.of_present_model for finding in axis.findings)]
+    improved = [axis for axis in axes if any(not finding.of_present_model for finding in axis.findings)]
     # Not searched, but for their S: the present model as it is.
     present = [AxisSearch(one.channel.with_model_fixed(), one.survey, one.likelihood, []) for one in improved]
     gain = sum(axis.criterion(axis.model) for axis in improved) - sum(axis.criterion([]) for axis in present)
@@ -87,10 +87,10 @@ def better_models(run: Run, model: BiasModel, channels: Sequence[str]) -> list[B
     return [new for axis, new in better.items() if new.before >= CLEAN_RESIDUAL * axis.channel.floor.sd]
 
 
-def _better(found: AxisSearch, gain: float, model: BiasModel) -> Better:
-    channel, present = found.channel, model.channels[found.channel.name]
-    added = next(one for one in found.findings if not one.of_present_model)
-    before, fitted = fit(channel.with_model_fixed(), []), fit(channel, found.model)
+def _better(axis: AxisSearch, gain: float, model: BiasModel) -> Better:
+    channel, present = axis.channel, model.channels[axis.channel.name]
+    added = next(one for one in axis.findings if not one.of_present_model)
+    before, fitted = fit(channel.with_model_fixed(), []), fit(channel, axis.model)
     # What is left holds the white noise of the means as well: the model's own error is no larger.
     lasting = without_unknown_constant(fitted, channel.name, model)
     better = refitted(present, channel, lasting, min(present.residual_sd, fitted.train_rms))
@@ -119,19 +119,19 @@ class Challenger(NamedTuple):
         """
         names = [better.channel for better in self.found]
         run = prepare.within_range(self.model, run, names, self.since_s)
-        ratio, squares = 0.0, []
-        for model, sign in ((self.present, -1.0), (self.model, 1.0)):
-            blocks = prepare.residual(run, model, names)
-            early = blocks.time_s < self.since_s
+        logliks, squares = [], []
+        for model in (self.present, self.model):
+            left = prepare.residual_blocks(run, model, names)
+            early = left.time_s < self.since_s
             if min(early.sum(), (~early).sum()) < LEAST_TEST_BLOCKS:
                 return None
-            residuals = [blocks.mean[name] - blocks.mean[name][early].mean() for name in names]
+            residuals = [left.mean[name] - left.mean[name][early].mean() for name in names]
             # Without a column of an effect the temperature does not matter.
-            likelihood = Likelihood(Training([blocks], "temperature"))
-            ratio += sign * sum(likelihood.predictive(residual, early) for residual in residuals)
+            likelihood = Likelihood(Training([left], "temperature"))
+            logliks.append(sum(likelihood.predictive(residual, early) for residual in residuals))
             squares.append(np.mean([residual[~early] ** 2 for residual in residuals]))
         before, after = np.sqrt(squares).tolist()
-        return ratio, before, after
+        return logliks[1] - logliks[0], before, after
 
 
 class LiveDiagnosis:
@@ -226,14 +226,14 @@ class LiveDiagnosis:
             self._compare(self._challenger, run)
         if self.offered:
             return
-        found = better_models(run, self._model, self._gyros)
-        if not found:
+        better_ones = better_models(run, self._model, self._gyros)
+        if not better_ones:
             self.state, self._charts = "", []
             return
-        worst = max(found, key=lambda better: better.before)
-        before, after = worst.before / DEG_PER_H, max(better.after for better in found) / DEG_PER_H
+        worst = max(better_ones, key=lambda better: better.before)
+        before, after = worst.before / DEG_PER_H, max(better.after for better in better_ones) / DEG_PER_H
         axes: dict[str, list[str]] = {}
-        for better in found:
+        for better in better_ones:
             axes.setdefault(" or ".join(better.names), []).append(better.channel[-1])
         what = "; ".join(f"{text} on {', '.join(sorted(letters))}" for text, letters in axes.items())
         self.state = f"MODEL CAN BE BETTER: {what}: {before:.3g} become {after:.3g} °/h"
@@ -242,16 +242,17 @@ class LiveDiagnosis:
             " imumon diagnose --train SESSION --model SESSION --out DIR",
             what,
         )
-        challenger, beside = Challenger(self._model, found, elapsed_s), self._challenger
+        challenger, beside = Challenger(self._model, better_ones, elapsed_s), self._challenger
         self._charts = _charts(run, self._model, challenger.model, worst)
-        # At twice the age at which it was found, the last model that was found takes a challenger's place.
+        # At twice the age at which it was found, the last model that was found takes a challenger's place: so
+        # a session has few challengers, each of which may win by chance once in 3000.
         if self._learn and (not beside or elapsed_s >= 2.0 * beside.since_s):
             self._challenger = challenger
 
     def evidence(self, session: str, sha256: str) -> TrainedOn:
         """Return what the model that has won states of this session: of the run that proved it."""
         run = replace(self._won_on, origin=Origin(session, 0, sha256))
-        return trained_on(prepare.residual(run, self._model, self._gyros))
+        return trained_on(prepare.residual_blocks(run, self._model, self._gyros))
 
     def _report(self, text: str, what: str = "") -> None:
         """Add a text to the log, unless it, or what it is about, is in there already."""
@@ -279,9 +280,9 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, worst: Better) -> l
     Block means at rest, °/h, minus their mean, the turn-on bias.  The line is the difference of the models.
     """
     name, axis, what = worst.channel, worst.channel[-1], worst.names[0]
-    before, after = (prepare.residual(run, model, [name]) for model in (present, better))
+    before, after = (prepare.residual_blocks(run, model, [name]) for model in (present, better))
     both = before.mean[name], before.mean[name] - after.mean[name]
-    points, line = ((part - part.mean()) / DEG_PER_H for part in both)
+    points, line = ((values - values.mean()) / DEG_PER_H for values in both)
     degc = before.temperature[prepare.temperature_of(name, present, [run])]
     time = "time", before.time_s / 60.0, "time since power-on [min]"
     title = f"Gyro {axis} minus the model, means of {before.block_s:.0f} s, and {what} through it"
@@ -290,7 +291,10 @@ def _charts(run: Run, present: BiasModel, better: BiasModel, worst: Better) -> l
     for key, x, label in (time, ("temperature", degc, "temperature [°C]")):
         dots = Curve(f"left, {axis}", x, points, AXIS_COLORS[axis], points=True, width=4.0)
         effect = Curve(what, x, line, (150, 155, 165))  # reads on both themes, and is no axis' colour
-        drawn = Axis(label), Axis("bias [°/h]"), (dots, effect)
-        over = f"{title}, over {key}"
-        charts.append(Chart(f"model_lacks_over_{key}", "Residual", over, *drawn, headline, notes))
+        x_axis, y_axis, over = Axis(label), Axis("bias [°/h]"), f"{title}, over {key}"
+        charts += [
+            Chart(
+                f"model_lacks_over_{key}", "Residual", over, x_axis, y_axis, (dots, effect), headline, notes
+            )
+        ]
     return charts

@@ -18,17 +18,17 @@ from imumon.geodesy import DEG_PER_H, MICRO_G
 from imumon.harmless import for_html, for_plot
 from imumon.models.model import BiasModel
 
-from .blocks import RunBlocks
+from .blocks import RunInBlocks
 from .diagnose import Diagnosis
-from .prepare import residual, temperature_of
+from .prepare import residual_blocks, temperature_of
 from .report import report
 from .runs import Run, unit_of
 from .search import Progress
 from .verdict import ChannelVerdict
 
 HOUR_S = 3600.0
-SCALES = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
-"""Factor to the unit that a person reads, and that unit; others are read as they are."""
+# Factor to the unit that a person reads, and that unit; others are read as they are.
+SHOWN_AS = {"rad/s": (1.0 / DEG_PER_H, "°/h"), "m/s^2": (1.0 / MICRO_G, "µg")}
 COLOURS = ("#1f4e79", "#c0504d", "#4f7f3f", "#8064a2", "#d08a2e", "#4bacc6")
 AFTER, BEFORE = COLOURS[:2]
 SIZE, WIDE = (5.2, 3.0), (9.6, 3.2)
@@ -37,17 +37,17 @@ OVER_TIME, OVER_DEGC = "time since power-on, h", "temperature, °C"
 
 def environment(package: str = "imumon.lab.diagnosis") -> Environment:
     """Return what fills in the pages of a package: whatever comes from outside is text, not markup."""
-    found = Environment(
+    made = Environment(
         loader=PackageLoader(package, "."), autoescape=True, undefined=StrictUndefined, finalize=for_html
     )
-    found.filters["number"] = _number
-    found.globals.update(errors=_errors, curve=_curve, shown=shown, unit_of=unit_of)
-    return found
+    made.filters["number"] = _number
+    made.globals.update(curve=_curve, shown=shown, unit_of=unit_of)
+    return made
 
 
 def shown(unit: str) -> tuple[float, str]:
     """Return the factor to the unit that a person reads, and that unit."""
-    return SCALES.get(unit, (1.0, unit))
+    return SHOWN_AS.get(unit, (1.0, unit))
 
 
 def svg(draw: Callable[[Axes], None], size: tuple[float, float] = SIZE) -> str:
@@ -71,21 +71,14 @@ def write_page(diagnosis: Diagnosis, path: Path, progress: Progress = lambda _: 
         drawn[verdict.name] = _figures(diagnosis, verdict)
     first = max(verdicts, key=_weight)
     picture = svg(lambda axes: _draw_errors(axes, diagnosis, first), WIDE)
-    page = environment().get_template("report.html.j2")
-    content = {"report": report(diagnosis, path.parent), "picture": picture, "first": first}
-    write_text(path, page.render(**content, verdicts=verdicts, drawn=drawn))
-
-
-def _errors(verdict: ChannelVerdict) -> tuple[float, float]:
-    """Return the rms of the test before and after, in the unit of the channel; NaN without one."""
-    test = verdict.test_after
-    return verdict.test_before.rms, test.smaller_rms if verdict.claims else test.rms
+    page, whole = environment().get_template("report.html.j2"), report(diagnosis, path.parent)
+    write_text(path, page.render(report=whole, picture=picture, first=first, verdicts=verdicts, drawn=drawn))
 
 
 def error_text(verdict: ChannelVerdict) -> str:
     """Return the error of the test, before and after where something is claimed; empty without a test."""
-    (factor, unit), (before, after) = shown(unit_of(verdict.name)), _errors(verdict)
-    becomes = f" → {_number(after, factor)}" if verdict.claims else ""
+    (factor, unit), before = shown(unit_of(verdict.name)), verdict.test_before.rms
+    becomes = f" → {_number(verdict.test_rms, factor)}" if verdict.claims else ""
     return f"{_number(before, factor)}{becomes} {unit}" if np.isfinite(before) else ""
 
 
@@ -121,7 +114,7 @@ def _figures(diagnosis: Diagnosis, verdict: ChannelVerdict) -> dict[str, str]:
     def draw(axes: Axes, over: Sequence[FloatArray], label: str) -> None:
         for at, run in enumerate(runs):
             colour = COLOURS[at % len(COLOURS)]
-            axes.plot(over[at], before[at], ".", ms=3, color=colour, label=for_plot(run.run.name))
+            axes.plot(over[at], before[at], ".", ms=3, color=colour, label=for_plot(run.in_slots.name))
             if verdict.claims:
                 axes.plot(over[at], before[at] - after[at], "-", lw=1, color=colour)
         axes.set(xlabel=label, ylabel=f"left of {verdict.name}, {unit}")
@@ -141,7 +134,8 @@ def _draw_errors(axes: Axes, diagnosis: Diagnosis, verdict: ChannelVerdict) -> N
     if diagnosis.test:
         what, runs, score = "test", diagnosis.test, verdict.test_after
         before, counts = verdict.test_before.predicted_residual, np.concatenate(score.counts)
-        after = score.estimated_residual if score.smaller_rms < score.rms else score.predicted_residual
+        is_estimated = score.estimated_rms < verdict.prediction.rms
+        after = score.estimated_residual if is_estimated else verdict.prediction.predicted_residual
     else:
         what, runs = "training", diagnosis.train
         before, after = [verdict.before.residual], [verdict.after.residual]
@@ -164,7 +158,7 @@ class Compared(NamedTuple):
     run: str
     channel: str
     temperatures: list[str]
-    residuals: list[RunBlocks]
+    residuals: list[RunInBlocks]
 
     @property
     def rms(self) -> list[float]:
@@ -177,20 +171,20 @@ def compare(runs: Sequence[Run], models: tuple[BiasModel, BiasModel]) -> list[Co
 
     Raises BAD_DATA when there is none, or the unit was never at rest for 30 s.
     """
-    found = []
+    compared = []
     for run in runs:
         names = [name for name in models[0].channels if name in models[1].channels and name in run.mean]
-        residuals = [residual(run, model, names) for model in models] if names else []
+        residuals = [residual_blocks(run, model, names) for model in models] if names else []
         if residuals and len(residuals[0]) > 1:
             for name in names:
                 temperatures = [temperature_of(name, model, [run]) for model in models]
-                found.append(Compared(run.name, name, temperatures, residuals))
-    if not found:
+                compared.append(Compared(run.name, name, temperatures, residuals))
+    if not compared:
         raise bad_data(
             "there is nothing to compare: no channel of both models, or no 30 s at rest",
             "give a session at rest of the unit that the models are of",
         )
-    return found
+    return compared
 
 
 def write_comparison(compared: Sequence[Compared], names: tuple[str, str], session: str, path: Path) -> None:

@@ -6,7 +6,6 @@ The evidence is the difference of the gains, in BIC, between the effect that the
 
 import math
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -30,26 +29,25 @@ from .blocks import BLOCK_S, make_blocks, survey
 from .diagnose import Prepared, likeliest, search_block_s, search_sensor
 from .likelihood import TAUS_S
 from .report import NOTHING
-from .runs import Run, collect
+from .runs import Names, Run, collect
 from .search import NEAR_GAIN, NEAR_SHARE, PROVEN_GAIN, AxisSearch, Progress
 
-MARGIN = 1.4
-"""The evidence that is planned for over what is needed: what is reached scatters."""
-# Units on which a profile is tried, and others on which the evidence of the chosen one is stated.
+MARGIN = 1.4  # the evidence that is planned for over what is needed: what is reached scatters (assumed)
+# Units on which a profile is tried, and others on which the evidence of the chosen one is stated.  Assumed.
 TRIALS, PROOFS = 2, 3
+# By this computer's clock: no further profile is tried for a question; the last takes half a minute more.
 TIME_UP_S = 150.0
-"""s after which no further profile is tried for a question; the last one takes up to half a minute more."""
-LONG_S = 1e5
-"""Correlation time of a process that stands for a random walk of an accelerometer."""
-SCALES = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
-"""Units of a bias and of an effect in a unit file, in SI: °/s and °/h, mg and µg."""
-# Of what is tried: least length, soaks at both ends, repetitions, and times at one temperature.
+LONG_S = 1e5  # correlation time of a process that stands for a random walk of an accelerometer
+# Units of a bias and of an effect in a unit file, in SI: °/s and °/h, mg and µg.
+IN_SI = {"gyro": (np.pi / 180.0, DEG_PER_H), "accel": (1e3 * MICRO_G, MICRO_G)}
+# Of what is tried: least length, soaks at both ends, repetitions, and times at one temperature.  Assumed.
 SHORTEST_S = 1800.0
 SOAKS_S = (300.0, 1800.0)
+LONGEST_SOAK_S = 3600.0  # where effects are slow
 REPEATS = (1, 2, 4, 8)
 HELD_S = (3600.0, 7200.0, 14400.0, 28800.0)
+# Turns from level to each side, upside down, and to both ends.
 POSES = (*({"roll_deg": 90.0},) * 3, {"roll_deg": 90.0, "pitch_deg": 90.0}, {"pitch_deg": -180.0})
-"""Turns from level to each side, upside down, and to both ends."""
 
 
 class Profile(NamedTuple):
@@ -76,9 +74,9 @@ def profiles(low: float, high: float, rate: float, tau_s: float, most_s: float, 
     """
     middle = 0.5 * (low + high)
     held = f"switched on in equilibrium at {middle:.0f} °C and held"
-    found = [Profile(held, Chamber(start_degc=middle, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
-    settled_s = 5.0 * tau_s  # by then a lag has decayed, or a warm-up; an hour has to do
-    soaks = sorted({*SOAKS_S, min(max(settled_s, SOAKS_S[0]), 2.0 * SOAKS_S[1])})
+    every = [Profile(held, Chamber(start_degc=middle, steps=[Step(hold_s=s)]), s, 1, poses) for s in HELD_S]
+    # In five time constants a lag has decayed, or a warm-up.
+    soaks = sorted({*SOAKS_S, min(max(5.0 * tau_s, SOAKS_S[0]), LONGEST_SOAK_S)})
     shapes: dict[str, list[Step]] = {}
     if high - low >= LEAST_SPAN_DEGC and rate > 0.0:
         for soak_s in soaks:
@@ -87,8 +85,8 @@ def profiles(low: float, high: float, rate: float, tau_s: float, most_s: float, 
         for times in REPEATS:
             chamber = Chamber(start_degc=low, steps=steps * times)
             duration_s = max(float(chamber_knots(chamber)[0][-1]), SHORTEST_S)
-            found.append(Profile(f"from {low:.0f} °C {title}", chamber, duration_s, times, poses))
-    return sorted((one for one in found if one.duration_s <= most_s), key=lambda profile: profile.duration_s)
+            every.append(Profile(f"from {low:.0f} °C {title}", chamber, duration_s, times, poses))
+    return sorted((one for one in every if one.duration_s <= most_s), key=lambda profile: profile.duration_s)
 
 
 def _thermal(low: float, high: float, rate: float, soak_s: float) -> dict[str, list[Step]]:
@@ -186,10 +184,8 @@ def open_questions(report: Report) -> list[Question]:
 
 
 def plan(report: Report, question: Question, most_s: float, progress: Progress = lambda _: None) -> Plan:
-    """Return the shortest experiment that answers a question, with the evidence to expect of it.
-
-    A shape is repeated only where that can decide, as evidence grows no faster than time.
-    """
+    """Return the shortest experiment that answers a question, with the evidence to expect of it."""
+    # A shape is repeated only where that can decide, as evidence grows no faster than time.
     effects = [effect for answer in question.answers for effect in answer.effects]
     inputs = {name for effect in effects for name in effect.inputs}
     if why_not := _impossible(question, inputs - {ACCEL_DRIVER}):
@@ -203,17 +199,17 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress =
     began_s, late = time.monotonic(), ""
     for profile in profiles(low, high, report.fastest_degc_per_min, tau_s, most_s, ACCEL_DRIVER in inputs):
         if profile.times > 1:
-            found = tried[profile.shape]
+            once = tried[profile.shape]
             # Even if its evidence grew with the time, it would stay below what is needed.
-            if found.ratio * profile.duration_s < found.profile.duration_s:
+            if once.ratio * profile.duration_s < once.profile.duration_s:
                 continue
         if tried and time.monotonic() - began_s > TIME_UP_S:
             late = f"; after {TIME_UP_S:.0f} s no further one was tried"
             break
         progress(f"{question.name}: {profile.duration_s / 3600:.1f} h, {profile.title}")
-        found = evidence(report, question, profile, range(TRIALS), kinds)
-        tried[profile.shape] = found
-        if found.ratio >= MARGIN:
+        shown = evidence(report, question, profile, range(TRIALS), kinds)
+        tried[profile.shape] = shown
+        if shown.ratio >= MARGIN:
             # What was chosen for its evidence has had luck as well: other units have to show it again.
             others = range(TRIALS, TRIALS + PROOFS)
             proof = evidence(report, question, profile, others, effects_for(question.channel))
@@ -221,11 +217,11 @@ def plan(report: Report, question: Question, most_s: float, progress: Progress =
                 return Plan(question, proof)
     if not tried:
         return Plan(question, why_not="no profile is so short")
-    found = max(tried.values(), key=lambda shown: shown.ratio)
+    best = max(tried.values(), key=lambda shown: shown.ratio)
     why_not = (
-        f"no experiment that was tried decides it; the best, {found.profile.duration_s / 3600:.1f} h"
-        f" {found.profile.title}, gives {found.value:.0f} of the {found.needed:.0f} in BIC that are needed"
-        f" for {found.truth} against {found.rival}{late}"
+        f"no experiment that was tried decides it; the best, {best.profile.duration_s / 3600:.1f} h"
+        f" {best.profile.title}, gives {best.value:.0f} of the {best.needed:.0f} in BIC that are needed"
+        f" for {best.truth} against {best.rival}{late}"
     )
     return Plan(question, why_not=why_not)
 
@@ -247,20 +243,18 @@ def simulated_run(experiment: Scenario, seed: int) -> Run:
     return collect([sent.with_columns({"at_rest": truth["at_rest"]})], experiment.title)[0]
 
 
-def evidence(
-    report: Report, question: Question, profile: Profile, seeds: Sequence[int], kinds: Sequence[str]
-) -> Evidence:
+def evidence(report: Report, question: Question, profile: Profile, seeds: range, kinds: Names) -> Evidence:
     """Return what the search finds on simulated units with each of the answers, among these kinds."""
-    found = []
+    pairs = []
     for truth in question.answers:
         if truth.name == NOTHING:
             continue  # that nothing is there shows in that an effect would show
         experiment = scenario(report, question.channel, profile, truth)
         searches = list[AxisSearch]()
         for seed in seeds:  # as `diagnose` does, for as many effects as the unit has
-            blocks = make_blocks(simulated_run(experiment, seed), [question.channel], ["temperature"])
-            degree = len(truth.declared) - 1 if survey([blocks], ["temperature"], 0).thermal else 0
-            shorter = blocks.in_blocks_of(search_block_s([blocks]))
+            in_blocks = make_blocks(simulated_run(experiment, seed), [question.channel], ["temperature"])
+            degree = len(truth.declared) - 1 if survey([in_blocks], ["temperature"], 0).thermal else 0
+            shorter = in_blocks.in_blocks_of(search_block_s([in_blocks]))
             data = Prepared([shorter], {question.channel: "temperature"}, degree)
             searches += likeliest(search_sensor(data, [question.channel], kinds, max(1, len(truth.effects))))
         for rival in question.answers:
@@ -268,8 +262,8 @@ def evidence(
                 of_units = [_difference(searched, truth.name, rival.name) for searched in searches]
                 value, needed = np.mean(of_units, axis=0).tolist()
                 least, _ = min(of_units)
-                found.append(Evidence(profile, value, least, needed, truth.name, rival.name))
-    return min(found, key=lambda shown: shown.ratio)
+                pairs.append(Evidence(profile, value, least, needed, truth.name, rival.name))
+    return min(pairs, key=lambda shown: shown.ratio)
 
 
 def _difference(searched: AxisSearch, truth: str, rival: str) -> tuple[float, float]:
@@ -287,7 +281,7 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
     """Return a scenario of an experiment on a unit whose one channel has an answer's curve and effects."""
     low, high = report.temperature_range_degc
     sensor, axis = channel.split("_")
-    of_bias, of_effect = SCALES[sensor]
+    of_bias, of_effect = IN_SI[sensor]
     # What an accelerometer has in its constant is gravity.
     constant = answer.declared[0] if sensor == "gyro" else 0.0
     curve = {
@@ -300,11 +294,8 @@ def scenario(report: Report, channel: str, profile: Profile, answer: Answer) -> 
         effect.with_coefficients(np.array(effect.coefficients) / of_effect).model_dump()
         for effect in answer.effects
     ]
-    in_pose_s = profile.duration_s / (len(POSES) + 1)
-    turns = [
-        Turn(kind="turn", at_s=number * in_pose_s, duration_s=10.0, **pose)
-        for number, pose in enumerate(POSES, 1)
-    ]
+    pose_s = profile.duration_s / (len(POSES) + 1)
+    turns = [Turn(kind="turn", at_s=n * pose_s, duration_s=10.0, **pose) for n, pose in enumerate(POSES, 1)]
     unit = {
         f"{sensor}_noise": _noise(report, channel),
         "gyro_bias_deg_per_s" if sensor == "gyro" else "accel_bias_mg": {axis: [curve]},

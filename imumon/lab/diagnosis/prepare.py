@@ -20,25 +20,25 @@ from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
-from .blocks import BLOCK_S, LEAST_BLOCKS, Blocks, RunBlocks, common_block_s, make_blocks
-from .runs import CHANNELS, MOSTLY, SENSORS, SHORTEST_RUN_S, Names, Run, Runs, channels_of, unit_of
+from .blocks import BLOCK_S, LEAST_BLOCKS, RunInBlocks, RunsInBlocks, common_block_s, make_blocks
+from .runs import CHANNELS, MOSTLY, SENSORS, SHORTEST_RUN_S, Columns, Names, Run, Runs, channels_of, unit_of
 
+Remarks = list[str]  # what is left out and why, and what limits the result: functions add to it
+# Alternating stretches of a single run for training and test (assumed); of two halves one may lack an end of
+# the temperatures, of single blocks both have the same flicker.
 STRETCHES = 12
-"""Alternating stretches of a single run for training and test; of two halves one may lack an end of the
-temperatures, of single blocks both have the same flicker."""
-CUBIC_DEGREE = 3
-"""As what is assumed without a model: other curves keep their shape, and have a cubic added."""
+CUBIC_DEGREE = 3  # as what is assumed without a model: other curves keep their shape, and have a cubic added
 
 
-def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: list[str]) -> list[str]:
+def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: Remarks) -> list[str]:
     """Return the channels that vary and that every training run has in 60 % of its slots (assumed).
 
     Blocks are of slots with all of them.  The clock of the device beside others only where all runs have it.
 
     Raises BAD_CONFIG for a sensor that is not known and no column, BAD_DATA when there is no channel.
     """
-    found = []
-    columns = {name: None for run in train for name in run.variance}
+    usable = []
+    columns = dict.fromkeys(name for run in train for name in run.variance)
     if unknown := [name for name in sensors if name not in SENSORS and not channels_of([name], columns)]:
         raise bad_config(
             f"--channels: {', '.join(map(repr, unknown))} is not in the training data",
@@ -56,13 +56,13 @@ def usable_channels(train: Runs, test: Runs, sensors: Names, remarks: list[str])
                 f" {np.nanmean(train[0].mean[name]):g} {unit_of(name)}"
             )
         elif name != CLOCK or len(sensors) == 1 or all(CLOCK in run.mean for run in test):
-            found.append(name)
-    if not found:
+            usable.append(name)
+    if not usable:
         raise bad_data(
             f"no channel of {', '.join(sensors)} has data in every training run",
             "give sessions that have them, or a map that names their columns",
         )
-    return found
+    return usable
 
 
 def _share_with(run: Run, name: str) -> float:
@@ -81,7 +81,7 @@ def usable_drivers(
     beside: Names,
     wanted: Names | None,
     present: Sequence[Effect],
-    remarks: list[str],
+    remarks: Remarks,
 ) -> list[str]:
     """Return the drivers that vary in training and are in every run, of those wanted (None: of all but
     those in `beside`), and those of effects of the present model, which may be constant.
@@ -101,7 +101,7 @@ def usable_drivers(
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
     needed = [name for effect in present for name in effect.inputs if name != ACCEL_DRIVER]
-    found = []
+    usable = []
     for name in dict.fromkeys([*(possible if wanted is None else wanted), *needed]):
         # A driver may be slow: a value in every other block is enough.
         runs = [run.name for run in (*train, *test) if _share_with(run, name) < 0.5 * run.slot_s / BLOCK_S]
@@ -114,13 +114,11 @@ def usable_drivers(
         if runs:
             remarks.append(f"{hardly}: no effect of it is looked for")
         else:
-            found.append(name)
-    return found
+            usable.append(name)
+    return usable
 
 
-def train_and_test(
-    train: Runs, test: Runs, channels: Names, remarks: list[str]
-) -> tuple[list[Run], list[Run]]:
+def train_and_test(train: Runs, test: Runs, channels: Names, remarks: Remarks) -> tuple[list[Run], list[Run]]:
     """Return the runs of training and test without what stands still.
 
     A test that the training has, by its bytes, is left out.  One that continues another run, by the device's
@@ -128,24 +126,24 @@ def train_and_test(
     every other stretch is held out as a test, where enough blocks are left.
     """
     train, test = ([without_standstill(run, channels, remarks) for run in runs] for runs in (train, test))
-    found = list[Run]()
+    tests = list[Run]()
     for run in test:
         if run.origin and any((run.origin, run.start_ns) == (same.origin, same.start_ns) for same in train):
             remarks.append(f"{run.name}: not used as a test, the training has the same recording")
             continue
         # The last slot of a run may end a second late; what begins over a minute after has its own power-on.
-        possible = (other for other in (*found, *train) if -1.0 <= _pause_s(other, run) <= 60.0)
-        if before := next(possible, None):
+        earlier = (other for other in (*tests, *train) if -1.0 <= _pause_s(other, run) <= 60.0)
+        if before := next(earlier, None):
             remarks.append(
                 f"{run.name} goes on where {before.name} ended, by the device's clock: time since power-on,"
                 " lag and loop go on as well"
             )
-        found.append(_continued(before, run) if before else run)
-    if found or len(train) > 1:
-        return train, found
+        tests.append(_continued(before, run) if before else run)
+    if tests or len(train) > 1:
+        return train, tests
     half, held_out = _divided(train[0], channels)
     if len(make_blocks(half, channels, TEMPERATURES, block_s=common_block_s(train))) < LEAST_BLOCKS:
-        return train, found
+        return train, tests
     remarks.append(
         f"no test data: every other {train[0].duration_s / STRETCHES / 60:.0f} min of the one run are held"
         " out as a test, which is weaker than another power-on: slower noise is in both"
@@ -159,7 +157,7 @@ def _divided(run: Run, channels: Names) -> tuple[Run, Run]:
     n = len(run.time_s)
     tested = (np.arange(n) * STRETCHES // n) % 2 == 1
 
-    def only(kept: BoolArray) -> dict[str, FloatArray]:
+    def only(kept: BoolArray) -> Columns:
         return run.mean | {name: np.where(kept, run.mean[name], np.nan) for name in channels}
 
     other = replace(run, mean=only(tested), name=f"{run.name}, held out", begun_in=run.name, woven=True)
@@ -177,33 +175,32 @@ def _continued(before: Run, after: Run) -> Run:
     """Return a run with the time and the drivers of the one that it continues; only its own samples count."""
     first = len(before.time_s) + max(0, round(_pause_s(before, after) / after.slot_s))
 
-    def later(columns: Mapping[str, FloatArray], missing: float = np.nan) -> dict[str, FloatArray]:
+    def behind(columns: Mapping[str, FloatArray], missing: float = np.nan) -> Columns:
         return {name: np.append(np.full(first, missing), values) for name, values in columns.items()}
 
-    mean = later(after.mean)
+    mean = behind(after.mean)
     for name in mean.keys() & (before.mean.keys() - {*CHANNELS}):
         mean[name][: len(before.time_s)] = before.mean[name]
     return replace(
         after,
         time_s=(np.arange(first + len(after.time_s), dtype=np.float64) + 0.5) * after.slot_s,
-        count=later(after.count, 0.0),
+        count=behind(after.count, 0.0),
         mean=mean,
-        variance=later(after.variance),
+        variance=behind(after.variance),
         rest=np.append(np.zeros(first), after.rest),
         start_ns=before.start_ns,
         begun_in=before.begun_in or before.name,
     )
 
 
-def without_standstill(run: Run, channels: Names, remarks: list[str]) -> Run:
-    """Return a run without the slots in which a channel has one value for as long as a block.
-
-    Noise never does that, but a stuck sensor, and one at its limit.  One whose digits are coarser than its
-    noise does so most of the time, and keeps its values.
-    """
+def without_standstill(run: Run, channels: Names, remarks: Remarks) -> Run:
+    """Return a run without the slots in which a channel has one value for as long as a block."""
+    # Noise never does that, but a stuck sensor, and one at its limit.  One whose digits are coarser than its
+    # noise does so most of the time, and keeps its values.
     mean = dict(run.mean)
     for name in (name for name in channels if name in mean):
         same = (np.diff(mean[name], prepend=np.nan) == 0.0) & ~(run.variance[name] > 0.0)
+        # Of the slots that repeat the one before, the stretches as long as a block.
         still = binary_opening(same, np.ones(round(common_block_s([run]) / run.slot_s)))
         if not still.any():
             continue
@@ -222,11 +219,9 @@ def without_standstill(run: Run, channels: Names, remarks: list[str]) -> Run:
 
 
 def faults(runs: Runs, channel: str, floor: float) -> dict[str, float]:
-    """Return the worst fault of each kind in the samples of a channel, and what it makes of a smooth bias:
-    digits too coarse for their noise to average what lies between them, and a value that is too frequent.
-
-    `floor` is the white noise of a mean of a block.
-    """
+    """Return the worst fault of each kind in the samples of a channel, and the rms that it makes of a smooth
+    bias: digits too coarse for their noise (`floor`, that of a mean of a block) to average what lies between
+    them; and a value that is too frequent, which makes inf, as no fit would be the bias."""
     quantized, frequent = dict[str, float](), dict[str, float]()
     for samples in (run.samples[channel] for run in runs if channel in run.samples):
         error = mean_error(samples.step, samples.ratio) if samples.step > 0.0 else 0.0
@@ -246,15 +241,15 @@ def usable_blocks(
     temperatures: Names,
     drivers: Names,
     block_s: float,
-    remarks: list[str],
+    remarks: Remarks,
     model: BiasModel | None = None,
     training: bool = False,
-) -> list[RunBlocks]:
+) -> list[RunInBlocks]:
     """Return the runs at rest as blocks, less the curves of a model.
 
     Raises BAD_DATA, and why, where they are too few for training.
     """
-    found = []
+    usable = list[RunInBlocks]()
     earlier = len(remarks)
     for run in runs:
         if missing := [name for name in (*channels, *temperatures) if not _has(run, name)]:
@@ -263,19 +258,19 @@ def usable_blocks(
             why = f"the unit moves: at rest for {run.rest_share:.0%} of its {run.duration_s / 60:.0f} min"
         else:
             left = without_curves(run, model, channels) if model else run
-            blocks = make_blocks(left, channels, temperatures, drivers, block_s)
-            few = f"too few means of {block_s:.0f} s at rest: {len(blocks)}"
-            why = few if len(blocks) * block_s < SHORTEST_RUN_S else ""
+            in_blocks = make_blocks(left, channels, temperatures, drivers, block_s)
+            too_few = len(in_blocks) * block_s < SHORTEST_RUN_S
+            why = f"too few means of {block_s:.0f} s at rest: {len(in_blocks)}" if too_few else ""
         if why:
             remarks.append(f"{run.name}: not used, {why}")
             continue
-        found.append(blocks)
+        usable.append(in_blocks)
         recorded = run.count[channels[0]] > 0
         begun = np.argmax(recorded)  # what goes on from another run begins late
         share = (recorded & run.at_rest)[begun:].mean()
         if share < 0.8:
             remarks.append(f"{run.name}: used in {share:.0%} of its time; gaps and motion are left out")
-    total = sum(map(len, found))
+    total = sum(map(len, usable))
     if training and total < LEAST_BLOCKS:
         short = (
             f"too short: the training data has {total} means of {block_s:.0f} s at rest; {LEAST_BLOCKS} are"
@@ -286,10 +281,10 @@ def usable_blocks(
             "record the unit at rest for an hour or more while its temperature changes;"
             " if it was at rest and is not detected to be, add --at-rest",
         )
-    return found
+    return usable
 
 
-def channels_with_model(channels: Names, model: BiasModel, remarks: list[str]) -> list[str]:
+def channels_with_model(channels: Names, model: BiasModel, remarks: Remarks) -> list[str]:
     """Return the channels that a model has; raises BAD_CONFIG where it has none of them."""
     if found := [name for name in channels if name in model.channels]:
         if others := [name for name in channels if name not in found]:
@@ -322,15 +317,15 @@ def temperature_of(channel: str, model: BiasModel | None, runs: Runs) -> str:
     )
 
 
-def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: Blocks) -> None:
+def check_range(model: BiasModel, temperatures: Mapping[str, str], runs: RunsInBlocks) -> None:
     """Raise BAD_CONFIG for a model whose curves hold at no temperature of the runs, naming both ranges."""
     for name, temperature in temperatures.items():
-        found = np.concatenate([run.temperature[temperature] for run in runs])
+        values = np.concatenate([run.temperature[temperature] for run in runs])
         low, high = model.channels[name].temperature_range_degc
-        if max(low, found.min()) >= min(high, found.max()):
+        if max(low, values.min()) >= min(high, values.max()):
             raise bad_config(
                 f"the bias model of {name} holds from {low:.2f} to {high:.2f} °C, the training data has"
-                f" {found.min():.2f} to {found.max():.2f} °C: they do not overlap",
+                f" {values.min():.2f} to {values.max():.2f} °C: they do not overlap",
                 "give a model that was calibrated at these temperatures, or none: leave --model out",
             )
 
@@ -344,10 +339,8 @@ def degree_of(model: BiasModel, channels: Names) -> int:
 def without_curves(run: Run, model: BiasModel, channels: Names) -> Run:
     """Return a run less the curves of a model, of which polynomial effects are part; others are left in."""
     curves = {
-        name: channel.model_copy(
-            update={"effects": [e for e in channel.effects if e.polynomial() is not None]}
-        )
-        for name, channel in model.channels.items()
+        name: one.model_copy(update={"effects": [e for e in one.effects if e.polynomial() is not None]})
+        for name, one in model.channels.items()
     }
     return without_model(run, model.model_copy(update={"channels": curves}), channels)
 
@@ -366,7 +359,7 @@ def without_model(run: Run, model: BiasModel, channels: Names) -> Run:
     return replace(run, mean=run.mean | changed)
 
 
-def residual(run: Run, model: BiasModel, channels: Names) -> RunBlocks:
+def residual_blocks(run: Run, model: BiasModel, channels: Names) -> RunInBlocks:
     """Return block means of what a model leaves of the channels, its effects integrated from power-on."""
     temperatures = dict.fromkeys(temperature_of(name, model, [run]) for name in channels)
     left = without_model(run, model, channels)
@@ -375,10 +368,8 @@ def residual(run: Run, model: BiasModel, channels: Names) -> RunBlocks:
 
 def within_range(model: BiasModel, run: Run, channels: Names, until_s: float | None = None) -> Run:
     """Return a run at rest only where its temperatures are inside the range that a model was fitted on, or
-    inside those that the run itself had until `until_s`.
-
-    Outside that range the curve continues as a straight line, and what is left there is no effect.
-    """
+    inside those that the run itself had until `until_s`."""
+    # Outside that range the curve continues as a straight line, and what is left there is no effect.
     inside = np.ones(len(run.time_s), bool)
     for name in channels:
         values = run.mean[temperature_of(name, model, [run])]

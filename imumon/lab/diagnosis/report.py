@@ -15,16 +15,16 @@ from imumon.version import __version__
 
 from ..calibration.cells import ONE_WAY
 from .candidates import Candidate, root_mean_square
+from .claims import explained_share
 from .diagnose import Diagnosis
 from .extended import with_model
 from .fit import Fit, FittedPart, fit, score_test
 from .likelihood import WALK_S
 from .runs import unit_of
-from .verdict import ChannelVerdict, Claim, explained_share
+from .verdict import ChannelVerdict, Claim
 
 Content = dict[str, Any]
-NOTHING = "nothing"
-"""The answer that there is slow noise and no effect."""
+NOTHING = "nothing"  # the answer that there is slow noise and no effect
 ISOTHERMAL = "at constant temperature, and run imumon allan on that."
 
 
@@ -42,13 +42,15 @@ def report(diagnosis: Diagnosis, folder: Path | None = None) -> Content:
         "block_s": diagnosis.train[0].block_s,
         **{
             key: [
-                {"name": run.run.name, "blocks": len(run), "duration_s": run.run.duration_s} for run in runs
+                {"name": run.in_slots.name, "blocks": len(run), "duration_s": run.in_slots.duration_s}
+                for run in runs
             ]
             for key, runs in (("train", diagnosis.train), ("test", diagnosis.test))
         },
         "independent_test": bool(diagnosis.test) and not diagnosis.held_out,
         "held_out": diagnosis.held_out,
         "temperature_range_degc": [scale.middle - scale.half_span, scale.middle + scale.half_span],
+        # The 95 % quantile (assumed): single steps of a coarse thermometer are faster.
         "fastest_degc_per_min": 60.0 * np.quantile(rates, 0.95),
         "caveats": diagnosis.caveats,
         "length_of_gravity": length and {key: np.asarray(v).tolist() for key, v in length._asdict().items()},
@@ -63,7 +65,8 @@ def write_report(diagnosis: Diagnosis, path: Path) -> None:
 
 
 def _channel(verdict: ChannelVerdict) -> Content:
-    channel, before, after = verdict.channel, verdict.test_before, verdict.test_after
+    channel, before, after = verdict.channel, verdict.test_before, verdict.prediction
+    estimated_rms = verdict.test_after.estimated_rms
     sets = [claim.finding.names for claim in verdict.claims if claim.finding.alternatives]
     train_before, train_after = verdict.before.train_rms, verdict.after.train_rms
     apart = [(first, other) for first, *others in sets for other in others]
@@ -77,7 +80,7 @@ def _channel(verdict: ChannelVerdict) -> Content:
         "noise_floor_from": channel.floor.source,
         "slow_noise": _slow_noise(verdict),
         "before": {"train_rms": train_before, "test_rms": before.rms},
-        "after": {"train_rms": train_after, "test_rms": after.rms, "test_rms_tracked": after.estimated_rms},
+        "after": {"train_rms": train_after, "test_rms": after.rms, "test_rms_tracked": estimated_rms},
         "coverage": after.coverage,
         "scored": after.scored_share,
         "explained_share": (
@@ -105,7 +108,7 @@ def _channel(verdict: ChannelVerdict) -> Content:
         "in_model_file": verdict.predicts,
         "faults": [*channel.faults],
         "unexplained": verdict.unexplained,
-        "formula": None,
+        "formula": None,  # always, as the format has it
         "remark": verdict.remark,
         "summary": verdict.summary,
     }
@@ -113,14 +116,12 @@ def _channel(verdict: ChannelVerdict) -> Content:
 
 def _slow_noise(verdict: ChannelVerdict) -> dict[str, float]:
     """Return the noise that is likeliest beside what was found: r and q of the likelihood, the same in the
-    unit of the channel, and the gain in BIC of innovations with heavy tails over normal ones.
-
-    Flicker and random walk are Gaussian: what jumps or comes in bursts is neither, however slow it is.  Score
-    test of Jarque and Bera (1980, doi:10.1016/0165-1765(80)90024-5): n (kurtosis - 3)² / 24.
-    """
+    unit of the channel, and the gain in BIC of innovations with heavy tails over normal ones."""
+    # Flicker and random walk are Gaussian: what jumps or comes in bursts is neither, however slow it is.
+    # Score test of Jarque and Bera (1980, doi:10.1016/0165-1765(80)90024-5): n (kurtosis - 3)² / 24.
     search, channel = verdict.search, verdict.search.channel
     flicker, walk = noise = search.maximum(search.model)[1]
-    residual, _ = search.likelihood.residual(channel.y, channel.design(search.model), noise)
+    residual, _ = search.likelihood.v_and_q(channel.y, channel.design(search.model), noise)
     sd = np.sqrt(residual @ residual / len(residual))
     excess = float(np.mean(residual**4) / np.mean(residual**2) ** 2) - 3.0
     return {
@@ -148,7 +149,7 @@ def _effect(verdict: ChannelVerdict, claim: Claim) -> Content:
         "evidence": {
             "proven_by": "test" if finding.by_test else "training",
             "gain_bic": finding.gain,
-            "test_gain": None,
+            "test_gain": None,  # always, as the format has it
             "pooled_gain_bic": finding.gain_over_axes,
             "rms_explained": np.sqrt(max(before**2 - after**2, 0.0)),
             "explained_share_alone": explained_share(before, after, verdict.channel.floor.sd),
@@ -162,13 +163,12 @@ def _parameters(parts: Sequence[FittedPart]) -> Content:
     """Return the parameters of one part as they are, of several as lists."""
     each = []
     for part in parts:
-        found = part.effect.model_dump(exclude={"kind", "coefficients"})
-        rows = part.coefficients.tolist()
-        found["coefficients"] = rows if part.separate_runs else rows[0]
-        found |= {"runs": list(part.separate_runs)} if part.separate_runs else {}
-        found |= {"start": part.start.tolist()} if len(part.start) else {}
-        each.append(found)
-    return each[0] if len(each) == 1 else {key: [found.get(key) for found in each] for key in each[0]}
+        parameters = part.effect.model_dump(exclude={"kind", "coefficients"})
+        rows, runs = part.coefficients.tolist(), [*part.separate_runs]
+        parameters |= {"coefficients": rows, "runs": runs} if runs else {"coefficients": rows[0]}
+        parameters |= {"start": part.start.tolist()} if len(part.start) else {}
+        each.append(parameters)
+    return each[0] if len(each) == 1 else {key: [one.get(key) for one in each] for key in each[0]}
 
 
 def _alone(verdict: ChannelVerdict, *candidates: Candidate) -> Fit:
@@ -180,16 +180,16 @@ def _left(verdict: ChannelVerdict, fitted: Fit) -> dict[str, float]:
 
 
 def _runs_left(verdict: ChannelVerdict) -> Iterator[Content]:
-    channel, (before, after) = verdict.channel, (verdict.test_before, verdict.test_after)
+    channel = verdict.channel
     training = [channel.training.split(fitted.residual) for fitted in (verdict.before, verdict.after)]
     test = [
-        [of_run[counting] for of_run, counting in zip(score.predicted_residual, after.counts, strict=True)]
-        for score in (before, after)
+        [of_run[counting] for of_run, counting in zip(score.predicted_residual, score.counts, strict=True)]
+        for score in (verdict.test_before, verdict.prediction)
     ]
     for is_test, runs, residuals in ((False, channel.training.runs, training), (True, channel.test, test)):
         for run, first, last in zip(runs, *residuals, strict=True):
             yield {
-                "name": run.run.name,
+                "name": run.in_slots.name,
                 "test": is_test,
                 "blocks": len(last),
                 "before": root_mean_square(first),
@@ -251,7 +251,7 @@ def next_step(diagnosis: Diagnosis, folder: Path | None) -> NextStep:
 
 def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
     """Yield what there is to do, the most urgent first."""
-    verdicts, chosen = diagnosis.verdicts, bool(diagnosis.test) and not diagnosis.held_out
+    verdicts, has_test = diagnosis.verdicts, bool(diagnosis.test) and not diagnosis.held_out
     out, plan, model = (shlex.quote(str(path)) for path in (folder, folder / "next", folder / "model.yaml"))
 
     def which(holds: Callable[[ChannelVerdict], bool]) -> str:
@@ -268,10 +268,10 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
             "Record a session in which the unit warms and cools, and train on that.",
             "Until then what lag, hysteresis or warm-up do is part of the curve.",
         )
-    if not chosen or any(verdict.by_test for verdict in verdicts):
+    if not has_test or any(verdict.by_test for verdict in verdicts):
         yield NextStep(
             "Record another session from power-on and test on that.",
-            "The test has chosen the effect." if chosen else "Without a test nothing is proven.",
+            "The test has chosen the effect." if has_test else "Without a test nothing is proven.",
             f"imumon diagnose {diagnosis.options} --test NEW --out {out}",
         )
     if names := which(lambda verdict: verdict.shifted):

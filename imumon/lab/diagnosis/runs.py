@@ -1,7 +1,7 @@
 """Recordings as runs from power-on, in means of slots: what is read, what is training, and what is test."""
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
@@ -19,22 +19,18 @@ from imumon.recordings.reduced import ACCEL, GYRO, KeptSlots, Reduced, reduce
 from imumon.recordings.source import Count, no_count, open_recording
 
 Names = Sequence[str]
+Columns = dict[str, FloatArray]  # by name
 CHANNELS = (*GYRO, *ACCEL)
+# What is diagnosed by default; the clock of the device only where all recordings have it.
 SENSORS = ("gyro", "accel", CLOCK)
-"""What is diagnosed by default; the clock of the device only where all recordings have it."""
+# Known columns that may drive a bias besides temperature and specific force.
 DRIVERS = ("pressure", *(f"mag_{axis}" for axis in "xyz"))
-"""Known columns that may drive a bias besides temperature and specific force."""
 READ = (*CHANNELS, *TEMPERATURES, *DRIVERS)
-LONGEST_GAP_S = 6 * 3600
-"""A longer gap begins another run: the state of the unit after it is unknown.  Assumed."""
-SHORTEST_RUN_S = 300.0
-"""A run that is shorter, or not as long at rest, is not used: it has fewer than ten means of 30 s."""
-MOSTLY = 0.5
-"""Share of its time from which on a run counts as one of a unit at rest."""
-MOST_SLOTS = 7200
-"""Of a run in memory: two hours of seconds; a column takes 16 bytes of each."""
-KEPT = 100_000
-"""Samples of a channel that are kept, evenly spaced over the recording, to bound the memory."""
+LONGEST_GAP_S = 6 * 3600  # a longer gap begins another run: the unit's state is unknown after it.  Assumed.
+SHORTEST_RUN_S = 300.0  # at rest, or the run is not used: it would have fewer than ten means of 30 s
+MOSTLY = 0.5  # share of its time from which on a run counts as one of a unit at rest (assumed)
+MOST_SLOTS = 7200  # of a run in memory: two hours of seconds; a column takes 16 bytes of each
+KEPT = 100_000  # samples of a channel that are kept, evenly spaced over the recording, to bound the memory
 
 
 class Samples(NamedTuple):
@@ -64,9 +60,9 @@ class Run:
 
     name: str
     time_s: FloatArray  # middle of each slot since the first sample, (n,)
-    count: dict[str, FloatArray]  # samples of each column, (n,)
-    mean: dict[str, FloatArray]  # of these, SI units or °C, (n,)
-    variance: dict[str, FloatArray]  # of these; NaN with fewer than two, (n,)
+    count: Columns  # samples of each column, (n,)
+    mean: Columns  # of these, SI units or °C, (n,)
+    variance: Columns  # of these; NaN with fewer than two, (n,)
     rest: FloatArray  # share of the samples at rest, (n,)
     origin: Origin | None = None  # None of what is not from a file
     start_ns: int | None = None  # device time of the first sample; None when it is not known
@@ -139,11 +135,16 @@ def read_runs(
         )
     warnings = tuple(f"{path}: {text}" for text in recording.warnings())
     sha256, statistics = recording.sha256(), watcher.samples()
-    for number, run in enumerate(runs):
-        run.rest = np.ones_like(run.rest) if at_rest else run.rest
-        run.origin = Origin(recording.name, number, sha256, recording.device, recording.serial)
-        run.warnings, run.samples = warnings, statistics
-    return runs
+    return [
+        replace(
+            run,
+            rest=np.ones_like(run.rest) if at_rest else run.rest,
+            origin=Origin(recording.name, number, sha256, recording.device, recording.serial),
+            warnings=warnings,
+            samples=statistics,
+        )
+        for number, run in enumerate(runs)
+    ]
 
 
 def further_columns(block: SampleBlock, made: Container[str]) -> list[str]:
@@ -172,11 +173,11 @@ def collect(blocks: Iterable[SampleBlock], name: str, further: Names = (), slot_
     """
     means = reduce(blocks, tuple(dict.fromkeys((*READ, *further))), slot_s)
     gap = np.diff(means.number, prepend=0) > LONGEST_GAP_S / slot_s
-    another = np.diff(means.run, prepend=-1) != 0
-    parts = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
-    names = [name] if len(parts) == 1 else [f"{name}, run {index + 1}" for index in range(len(parts))]
+    another = np.diff(means.run, prepend=-1) != 0  # true of the first, which [1:] leaves out
+    groups = np.split(np.arange(len(means)), np.flatnonzero(another | gap)[1:])
+    names = [name] if len(groups) == 1 else [f"{name}, run {index + 1}" for index in range(len(groups))]
     rest = means.quiet().astype(np.float64) if slot_s > 1.0 else np.nan_to_num(means.rest_share, nan=1.0)
-    return [_run(means, rest, rows, text) for rows, text in zip(parts, names, strict=True) if len(rows)]
+    return [_run(means, rest, rows, text) for rows, text in zip(groups, names, strict=True) if len(rows)]
 
 
 def _run(means: Reduced, rest: FloatArray, rows: IntArray, name: str) -> Run:
@@ -229,7 +230,7 @@ class Watcher:
 
     def __init__(self, channels: Names) -> None:
         # Samples, and the step to each from the one before, (n, 2).
-        self._kept: dict[str, list[FloatArray]] = {name: [] for name in channels}
+        self._kept = {name: [np.empty((0, 2))] for name in channels}
         self._stride, self._rows = 1, 0
 
     def through(self, blocks: Iterable[SampleBlock]) -> Iterator[SampleBlock]:
@@ -244,17 +245,18 @@ class Watcher:
                 self._kept[name].append(np.column_stack([values, steps])[chosen].astype(np.float64))
             while self._rows > KEPT * self._stride:
                 for name, kept in self._kept.items():
-                    self._kept[name] = [np.concatenate(kept)[::2]] if kept else []
+                    self._kept[name] = [np.concatenate(kept)[::2]]
                 self._stride *= 2
             yield block
 
     def samples(self) -> dict[str, Samples]:
         """Return the statistics of each channel that has values."""
-        joined = {name: np.concatenate([*kept, np.empty((0, 2))]).T for name, kept in self._kept.items()}
+        joined = {name: np.concatenate(kept) for name, kept in self._kept.items()}
+        known = {name: rows[np.isfinite(rows[:, 0])].T for name, rows in joined.items()}
         return {
-            name: _samples(values[np.isfinite(values)], steps[np.isfinite(values)])
-            for name, (values, steps) in joined.items()
-            if np.isfinite(values).sum() > 2 and np.isfinite(steps).any()
+            name: _samples(values, steps)
+            for name, (values, steps) in known.items()
+            if len(values) > 2 and np.isfinite(steps).any()
         }
 
 
@@ -268,7 +270,7 @@ def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     count = np.bincount(where, weights=fresh)
     step = grid_step(distinct, len(values))
     rounded = digits(values) if step > 0.0 else None
-    found = Samples(step, scatter, rounded.ratio if rounded else np.inf)
+    without_atom = Samples(step, scatter, rounded.ratio if rounded else np.inf)
     most = np.argmax(count)
     padded = np.pad(count, 1)
     beside = max(padded[most], padded[most + 2], 1.0)
@@ -276,8 +278,8 @@ def _samples(values: FloatArray, steps: FloatArray) -> Samples:
     coarse = step > 0.0 and not step < moved_scatter  # true of NaN, too
     # A percent of all samples, and ten times more than its neighbours have, are not by chance (assumed).
     if coarse or len(distinct) < 3 or share < 0.01 or count[most] < 10.0 * beside:
-        return found
-    return found._replace(atom=distinct[most], atom_share=share)
+        return without_atom
+    return without_atom._replace(atom=distinct[most], atom_share=share)
 
 
 class BoundedRun:
@@ -294,26 +296,26 @@ class BoundedRun:
         self._sums = np.zeros((MOST_SLOTS, 2, len(self._names)))
         self._width, self._last, self._begun_ns = 1, -1, 0
 
-    def take(self, part: KeptSlots) -> float:
+    def take(self, seconds: KeptSlots) -> float:
         """Add seconds, and return the time from the first sample to the end of the last of them, s; the last
-        column of the part is the share at rest, which is not one of the run's."""
+        column of them is the share at rest, which is not one of the run's."""
         if self._last < 0:
-            self._begun_ns = int(part.start_ns[0])
-        second = (part.start_ns - self._begun_ns) // SECOND_NS
+            self._begun_ns = int(seconds.start_ns[0])
+        second = (seconds.start_ns - self._begun_ns) // SECOND_NS
         self._last = int(second[-1])
         while self._last // self._width >= MOST_SLOTS:
             self._sums[: MOST_SLOTS // 2] = self._sums[::2] + self._sums[1::2]
             self._sums[MOST_SLOTS // 2 :] = 0.0
             self._width *= 2
-        count = part.count[:, :-1].astype(np.float64)
+        count = seconds.count[:, :-1].astype(np.float64)
         # `KeptSlots` has variances about the mean over n, a run those over n - 1.
-        unbiased = part.variance[:, self._accel] / (1.0 - 1.0 / np.maximum(count[:, self._accel], 2.0))
+        unbiased = seconds.variance[:, self._accel] / (1.0 - 1.0 / np.maximum(count[:, self._accel], 2.0))
         has_vibration = (count[:, self._accel] > 1.0).all(axis=1) & (len(self._accel) == len(ACCEL))
-        count[:, self._gyros] *= (part.mean[:, -1] == 1.0)[:, None]
+        count[:, self._gyros] *= (seconds.mean[:, -1] == 1.0)[:, None]
         count = np.column_stack([count, has_vibration])
-        mean = np.where(count > 0, np.column_stack([part.mean[:, :-1], unbiased.sum(axis=1)]), 0.0)
+        mean = np.where(count > 0, np.column_stack([seconds.mean[:, :-1], unbiased.sum(axis=1)]), 0.0)
         np.add.at(self._sums, second // self._width, np.stack([count, mean * count], axis=1))
-        return float(part.end_ns[-1] - self._begun_ns) / SECOND_NS
+        return float(seconds.end_ns[-1] - self._begun_ns) / SECOND_NS
 
     def run(self) -> Run:
         """Return the run so far, in slots that have ended; at rest where a gyro was."""

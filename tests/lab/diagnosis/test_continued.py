@@ -60,8 +60,8 @@ def test_the_turn_on_bias_of_any_training_run_goes_on_in_a_test_that_continues_i
     (verdict,) = diagnose(train, [parts[1]]).verdicts
     assert [claim.finding.name for claim in verdict.claims] == ["run_offset"]
     assert verdict.test_after.continues_training
-    assert verdict.test_after.rms < 1.3 * verdict.channel.floor.sd < verdict.test_before.rms
-    assert verdict.test_after.estimated_rms == verdict.test_after.rms
+    assert verdict.prediction.rms < 1.3 * verdict.channel.floor.sd < verdict.test_before.rms
+    assert verdict.test_after.estimated_rms == verdict.prediction.rms
 
 
 def test_the_sigma_of_a_constant_beside_a_jump_is_that_of_the_constant_that_is_stated() -> None:

@@ -303,7 +303,7 @@ def test_a_jump_is_named_estimated_in_the_test_and_left_out_of_the_model_file() 
     assert set(names(diagnosis)) == {"step"}
     assert verdict.test_before is not None
     assert verdict.test_after is not None
-    assert verdict.test_after.rms == verdict.test_before.rms
+    assert verdict.prediction is verdict.test_before
     assert verdict.test_after.estimated_rms < 1.2 * verdict.channel.floor.sd
     assert extended_model(diagnosis).channels["gyro_x"].effects == []
 
@@ -417,7 +417,7 @@ def test_a_jump_stays_where_the_test_goes_on_and_is_no_part_of_the_model_file() 
     last = replace(_part(whole, 6050, 9000), start_ns=6057_000_000_000)
     diagnosis = diagnose([first], [last])
     assert names(diagnosis) == ["step"]
-    before, after = diagnosis.verdicts[0].test_before, diagnosis.verdicts[0].test_after
+    before, after = diagnosis.verdicts[0].test_before, diagnosis.verdicts[0].prediction
     assert before is not None
     assert after is not None
     assert before.rms > 2.5 * diagnosis.verdicts[0].channel.floor.sd
@@ -447,7 +447,7 @@ def test_what_is_found_in_a_measured_run_hangs_on_no_block_and_on_no_boundary_of
         assert verdict.test_before is not None
         assert verdict.test_after is not None
         said = [claim.finding.name for claim in verdict.claims]
-        return said, verdict.test_before.rms, verdict.test_after.rms
+        return said, verdict.test_before.rms, verdict.prediction.rms
 
     for first, lost in [(0, 30 * block) for block in range(0, at // 30, 200)] + [(7, 0), (23, 0)]:
         said, before, after = found(first, lost)

@@ -94,5 +94,6 @@ def test_a_bias_that_stays_within_a_step_is_not_known_to_be_complete() -> None:
     (verdict,) = diagnosis.verdicts
     assert verdict.test_after is not None
     within = verdict.test_after._replace(rms=0.1 * verdict.channel.floor.sd)
-    verdict = replace(verdict, claims=[], unexplained=False, test_after=within)
+    fitted = verdict.after._replace(residual=0.0 * verdict.after.residual)
+    verdict = replace(verdict, claims=[], after=fitted, test_before=within, test_after=within)
     assert verdict.row.state == "too few digits"

@@ -54,7 +54,7 @@ def test_a_declared_model_alone_is_off_by_the_jump_that_goes_on_in_the_test() ->
     assert [claim.finding.name for claim in verdict.claims] == ["step"]
     assert verdict.test_after.continues_training
     assert not verdict.predicts
-    assert verdict.test_after.rms < 0.2 * verdict.test_before.rms
+    assert verdict.prediction.rms < 0.2 * verdict.test_before.rms
     stated = extended_model(diagnosis).channels["gyro_x"].residual_sd
     assert stated == pytest.approx(verdict.test_before.rms, rel=0.05)
 

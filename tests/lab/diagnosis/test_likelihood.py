@@ -40,7 +40,7 @@ def test_what_is_a_walk_without_a_drift_is_flicker_with_it() -> None:
     likelihood = Likelihood(training)
     walk = likelihood.maximum(blocks.mean["gyro_x"] / DPH, curve)[1]
     assert walk[1] > walk[0]
-    beside = np.column_stack([curve, training.design([Candidate((Part(Drift()),))])])
+    beside = np.column_stack([curve, training.effect_columns([Candidate((Part(Drift()),))])])
     noise = likelihood.maximum(blocks.mean["gyro_x"] / DPH, beside)[1]
     assert noise in noise_no_larger(walk)
     assert noise[0] > walk[0]

@@ -189,7 +189,7 @@ def test_a_test_without_the_temperature_of_the_present_model_is_not_used_and_tha
     train, test = three(nothing, SECONDS)
     bare = replace(test[0], name="bare", mean={"gyro_x": test[0].mean["gyro_x"]})
     diagnosis = diagnose(train, [bare, *test], model=cubic_model())
-    assert [one.run.name for one in diagnosis.test] == [test[0].name]
+    assert [one.in_slots.name for one in diagnosis.test] == [test[0].name]
     assert "bare: not used, it lacks temperature" in diagnosis.caveats
     with pytest.raises(ImumonError, match="over one: run 1 has temperature; bare has none"):
         diagnose([train[0], bare], [])
@@ -232,4 +232,4 @@ def test_a_test_that_an_effect_of_the_present_model_worsens_does_not_take_it_out
         (effect,) = extended_model(diagnosis).channels["gyro_x"].effects
         assert effect.name == "warm_up"
         assert (verdict.refit, verdict.left_out) == (refit, [])
-        assert verdict.test_after.rms <= verdict.test_before.rms
+        assert verdict.prediction.rms <= verdict.test_before.rms

@@ -9,10 +9,10 @@ from imumon.effects.base import Drive
 from imumon.effects.since_power_on import Drift, WarmUp
 from imumon.effects.thermal_lag import Hysteresis
 from imumon.lab.diagnosis.candidates import Candidate, Finding, Part
+from imumon.lab.diagnosis.claims import chosen_by_test
 from imumon.lab.diagnosis.diagnose import diagnose
 from imumon.lab.diagnosis.report import report
 from imumon.lab.diagnosis.runs import Run
-from imumon.lab.diagnosis.verdict import chosen_by_test
 from tests.lab.diagnosis.units import ramps, run
 
 SECONDS = 5400

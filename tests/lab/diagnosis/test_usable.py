@@ -66,7 +66,7 @@ def test_runs_that_move_or_lack_a_temperature_are_named_and_the_others_used() ->
     bare = replace(train[0], name="bare", mean={"gyro_x": train[0].mean["gyro_x"]})
     remarks: list[str] = []
     found = usable_blocks([moving(train[0]), train[1], bare], *NAMES, block_s, remarks, training=True)
-    assert [one.run.name for one in found] == [train[1].name]
+    assert [one.in_slots.name for one in found] == [train[1].name]
     assert remarks == [
         f"{train[0].name}: not used, the unit moves: at rest for 0% of its {SECONDS / 60:.0f} min",
         "bare: not used, it lacks temperature",
@@ -89,10 +89,10 @@ def test_a_jump_is_in_its_run_where_a_short_run_before_has_too_few_blocks_to_be_
     short.mean["gyro_x"][gaps], short.count["gyro_x"][gaps] = np.nan, 0.0
     train = [short, run(1, *ramps(3000, True), still), run(2, *ramps(3000, False), jump)]
     diagnosis = diagnose(train, [run(3, *ramps(3000, True, 1.0), still)])
-    assert [one.run.name for one in diagnosis.train] == ["run 1", "run 2"]
+    assert [one.in_slots.name for one in diagnosis.train] == ["run 1", "run 2"]
     (claim,) = diagnosis.verdicts[0].claims
     assert claim.finding.name == "step"
-    assert [diagnosis.train[at].run.name for at in claim.parts[0].separate_runs] == ["run 2"]
+    assert [diagnosis.train[at].in_slots.name for at in claim.parts[0].separate_runs] == ["run 2"]
 
 
 @pytest.mark.parametrize("every", [25, 3])
