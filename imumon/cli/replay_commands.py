@@ -357,11 +357,11 @@ def _shown(rec: rr.RecordingStream, mode: View, bind: str) -> str:
 
     Raises NOT_FOUND when no viewer comes up.
     """
-    from imumon.view.viewer import probe, proxy_url, start_viewer, viewer_port
+    from imumon.view.viewer import SERVER_MEMORY, probe, proxy_url, start_viewer, viewer_port
     from imumon.view.web import WebServer, serve_stream
 
     if mode == "web":
-        return WebServer(serve_stream(rec), bind=bind).url
+        return WebServer(serve_stream(rec, SERVER_MEMORY), bind=bind).url
     port = viewer_port()
     viewer = None if probe(port) else start_viewer(port)
     deadline = time.monotonic() + STARTING_S

@@ -1,7 +1,7 @@
 """The view process: takes items from the measuring process and serves the stream that viewers read.
 
 It may hang, be killed or die without the measuring process noticing more than a word in the status line.
-Viewers come and go as they like: the server keeps the latest `SERVER_MEMORY` of the stream for them.
+Viewers come and go as they like: the server keeps the latest part of the stream for them.
 Run as ``python -m imumon.view.child`` by `imumon.view.publisher`.
 """
 
@@ -18,7 +18,7 @@ from .fed import batches, serve
 from .items import ViewSetup
 from .logger import StreamLogger
 from .publisher import Report, Start
-from .viewer import LIVE_APPLICATION, probe, proxy_url, start_viewer, viewer_port
+from .viewer import LIVE_APPLICATION, PAGE_MEMORY, SERVER_MEMORY, probe, proxy_url, start_viewer, viewer_port
 from .web import WebServer, serve_stream
 
 POLL_S = 0.25
@@ -31,11 +31,10 @@ the newest first, and the server forgets the oldest.  Until a repetition arrives
 
 def serve_viewers(start: Start, rec: rr.RecordingStream) -> Callable[[], Report]:
     """Serve the stream; return what finds out how that goes, and where to find what."""
-    stream = serve_stream(rec)
     if start.mode == "web":
-        page = WebServer(stream, start.port, start.bind)
+        page = WebServer(serve_stream(rec, PAGE_MEMORY), start.port, start.bind)
         return lambda: Report("serving the web viewer", page.url, page.port)
-    address, served = stream
+    address, served = serve_stream(rec, SERVER_MEMORY)
     url, port = proxy_url(served, address), viewer_port(start.port)
     # One that is open goes on with this stream, as after a restart; one that was closed stays closed.
     viewer = start_viewer(port, url) if start.open_viewer or probe(port) else None

@@ -47,10 +47,13 @@ MAX_BYTES = 1024 << 20
 
 
 class FedProcess:
-    """Feeds a process that runs a `module`, which calls `serve`; nothing there delays the caller."""
+    """Feeds a process that runs a `module`, which calls `serve`, with batches so far apart.
 
-    def __init__(self, module: str) -> None:
-        self._module = module
+    Nothing there delays the caller.
+    """
+
+    def __init__(self, module: str, apart_s: float = BATCH_S) -> None:
+        self._module, self._apart_s = module, apart_s
         self._queue = DropOldestQueue(QUEUE_BYTES)
         self._sending_s = math.inf  # since when
         self.restarts = 0  # how often the process was started again
@@ -137,7 +140,7 @@ class FedProcess:
             self._send(pipe, self._first())
             while not closing and process.poll() is None:
                 closing = self._queue.closed.is_set()
-                items = merge(self._queue.take(BATCH_S, wait_s=0.25))
+                items = merge(self._queue.take(self._apart_s, wait_s=0.25))
                 self._handed(items)
                 if items:
                     self._send(pipe, items)

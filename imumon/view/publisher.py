@@ -3,9 +3,12 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from .fed import FedProcess
+from .fed import BATCH_S, FedProcess
 from .items import ViewItem, ViewSetup
 from .viewer import LOCALHOST, VIEWER_PORT, WEB_PORT, Mode
+
+WEB_BATCH_S = 1.0
+"""Fewer, larger messages: a browser that joins late takes in what the server keeps, and would else hang."""
 
 
 class Start(NamedTuple):
@@ -43,7 +46,7 @@ class ViewPublisher(FedProcess):
         bind: str = LOCALHOST,
         module: str = "imumon.view.child",
     ) -> None:
-        super().__init__(module)
+        super().__init__(module, WEB_BATCH_S if mode == "web" else BATCH_S)
         self._start = Start(setup, mode, port or (WEB_PORT if mode == "web" else VIEWER_PORT), bind)
         self._report = Report("view starts")
         self._announced = ""

@@ -21,9 +21,9 @@ VIEWER_PORT = 9876
 WEB_PORT = 9090
 VIEWER_MEMORY = "2GB"
 """Above this the viewer forgets the oldest data, so that a session may last for days."""
-SERVER_MEMORY = "256MB"
-"""What a server keeps for viewers that come later.  All estimators make 0.30 MB/s at 100 Hz,
-0.40 MB/s at 400 Hz."""
+SERVER_MEMORY, PAGE_MEMORY = "256MB", "110MB"
+"""What a server keeps for viewers that come later, and for pages.  All estimators make 0.30 MB/s at 100 Hz,
+0.13 MB/s in the batches of a page.  Pages took in 120 MB; with 156 MB and more they hung, at 5 GB."""
 
 LIVE_APPLICATION, APPLICATION = "imumon-live", "imumon"
 """Of live views and of recordings: a viewer keeps an arrangement for each."""

@@ -79,10 +79,10 @@ def bundled_assets() -> dict[str, bytes]:
         program.wait()
 
 
-def serve_stream(rec: rr.RecordingStream) -> tuple[str, int]:
-    """Let viewers read a stream, and return where."""
+def serve_stream(rec: rr.RecordingStream, memory: str) -> tuple[str, int]:
+    """Let viewers read the latest `memory` of a stream, and return where."""
     address = viewer.hidden_address()
-    rec.set_sinks(rr.GrpcServerSink(*address, server_memory_limit=viewer.SERVER_MEMORY, newest_first=True))
+    rec.set_sinks(rr.GrpcServerSink(*address, server_memory_limit=memory, newest_first=True))
     return address
 
 
