@@ -993,7 +993,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         [
             Source(SPEED, "| bno08x-rvc | 19 | 8 | # |", lambda found: [found[0][0] / 1e3]),
             Source(SPEED, "| motioncal | 142 | 13 | # |", lambda found: [found[0][0] / 1e3]),
-            Source(SPEED_DETAILS, "0.27 ms a second are # % of a core"),
+            Source(SPEED_DETAILS, "0.26 ms a second are # % of a core"),
         ],
     ),
     (
