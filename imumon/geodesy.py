@@ -34,22 +34,28 @@ def forward(up: FloatArray) -> FloatArray:
     return np.asarray(ahead / math.sqrt((ahead * ahead).sum()))
 
 
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a × b, (3,); `np.cross` takes 25 times as long."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
 def north_in_body(up: FloatArray, heading: float) -> FloatArray:
     """Return the direction of north in body axes, (3,); heading in rad."""
     ahead = forward(up)
-    return math.cos(heading) * ahead - math.sin(heading) * np.cross(ahead, up)
+    return math.cos(heading) * ahead - math.sin(heading) * _cross(ahead, up)
 
 
 def heading_of(up: FloatArray, northward: FloatArray) -> float:
     """Return the heading in rad, -π to π, from a vector in body axes whose level part points north, (3,)."""
     ahead = forward(up)
-    return math.atan2(-np.cross(ahead, up) @ northward, ahead @ northward)
+    return math.atan2(-_cross(ahead, up) @ northward, ahead @ northward)
 
 
 def body_to_ned(up: FloatArray, heading: float) -> FloatArray:
     """Return the matrix from body axes to north-east-down, (3, 3); heading in rad."""
     north = north_in_body(up, heading)
-    return np.vstack([north, np.cross(north, up), -up])
+    return np.vstack([north, _cross(north, up), -up])
 
 
 def quaternions(angles: FloatArray) -> FloatArray:

@@ -92,7 +92,7 @@ class SlotGatherer:
             time_ns, segment, values, self.length_ns, self._turns, self._slot, self._columns, self._turn,
             slots, columns, turns,
         )  # fmt: skip
-        found: dict[str, Any] = {"turns": [turn_of(one) for one in turns[:m]]}
+        found: dict[str, Any] = {"turns": [turn_of(one) for one in turns[:m].copy()]}
         for name in (field.name for field in fields(Slots) if field.name not in found):
             found[name] = (slots if name in (SLOT.names or ()) else columns)[name][:m]
         return Slots(**found)

@@ -118,8 +118,8 @@ FIELDS = "rotation", "by_bias", "by_scale", "coning", "fast", "missed", "seconds
 
 
 def turn_of(record: Any) -> Turn:
-    """Return the turn of one record of compiled code, as a copy."""
-    parts = {name: record[name].copy() for name in FIELDS}
+    """Return the turn of one record of compiled code."""
+    parts = {name: record[name] for name in FIELDS}
     return Turn(**parts, path=angle_of(parts["rotation"]))
 
 

@@ -149,10 +149,10 @@ class Alignment:
             return [math.nan] * len(self._row)
         estimates = aligner.estimates
         joint, gyro, hann = (estimates.get(of, Estimate()) for of in ("joint", "gyro_mean", "hann_mean"))
-        force, field = np.hsplit(np.array(self._recent), 2)
-        up, field = aligner.attitude[2], field[np.isfinite(field).all(axis=1)]
-        magnetic = heading_of(up, field.mean(axis=0)) % math.tau if len(field) else math.nan
-        angles = self._roll_and_pitch(up if aligner.motion.moving else force.sum(axis=0))
+        recent, up = np.array(self._recent), aligner.attitude[2]
+        field = recent[np.isfinite(recent).all(axis=1), 3:].sum(axis=0)  # of whole readings
+        magnetic = heading_of(up, field) % math.tau if field.any() else math.nan
+        angles = self._roll_and_pitch(up if aligner.motion.moving else recent[:, :3].sum(axis=0))
         first = self._roll_and_pitch(aligner.positions[0].attitude[2])
         drifts = [math.remainder(now - then, math.tau) for now, then in zip(angles, first, strict=True)]
         return [*joint, *angles, *drifts, magnetic, *gyro, *hann]
