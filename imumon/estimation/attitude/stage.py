@@ -85,7 +85,7 @@ class AttitudeEstimate:
         found = {column.name: missing(len(block), column.dtype) for column in self.columns}
         usable = np.flatnonzero((block["device_time_ns"] != NO_INT) & np.isfinite(gyro).all(axis=1))
         if len(usable):
-            estimates = self._estimate(block.kept(usable))
+            estimates = self._estimate(block if len(usable) == len(block) else block.kept(usable))
             for values, each in zip(found.values(), estimates, strict=True):
                 values[usable] = each
         return found

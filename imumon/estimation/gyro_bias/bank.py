@@ -142,7 +142,7 @@ class Prediction(States):
         (degc, sd), (degc_before, sd_before) = degc_and_sd, self.degc_and_sd
         then = self.at(time_s, degc_and_sd)
         left = _where_known(degc - degc_before - (then.held_degc - self.held_degc))
-        hidden = _where_known(np.maximum(sd**2 - sd_before**2, 0.0))  # by a silent thermometer
+        hidden = np.fmax(sd**2 - sd_before**2, 0.0)  # by a silent thermometer; NaN: 0
         mean, covariance = then.mean.copy(), then.covariance.copy()
         mean[:, WALK] += mean[:, SLOPE] * left
         # dT within the band may be noise of the thermometer: all that it does, s dT, is in the variance, too.
