@@ -158,6 +158,7 @@ class ViewSetup(NamedTuple):
     z_down: bool = False  # True for a device with FRD axes, whose reference frame has z down
     window_s: float = 30.0  # seconds that the live strips show
     first_tab: str = "Live"  # what the first tab is called while the data comes
+    step_ns: int = 0  # live, of so much time only the extremes are shown; 0: all samples
 
 
 class Timebase:

@@ -54,7 +54,7 @@ class StreamLogger:
         self._last_ns: dict[str, int] = {}
         self._began: Rows | None = None  # time of the first sample
         self._newest: Rows | None = None  # of the latest
-        self._step_ns = 0 if live else RECORDED_STEP_NS
+        self._step_ns = setup.step_ns if live else RECORDED_STEP_NS
 
     def begin(self) -> None:
         """Log what does not change (name, styles), and the latest states."""

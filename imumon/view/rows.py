@@ -17,9 +17,9 @@ from .items import Instant, Times, first_of_steps
 class Rows:
     """Rows of columns with their times.
 
-    With `step_ns` they are for a recording, which is a picture (the wire has every byte): of each step
-    of time only the extremes are drawn, so that spikes stay, and in one unit.  What began before them, at
-    `before_ns`, the clock of the row before, has been drawn.
+    With `step_ns` they are for a recording or a page, which is a picture (the wire has every byte): of each
+    step of time only the extremes are drawn, so that spikes stay.  What began before them, at `before_ns`,
+    the clock of the row before, has been drawn.
     """
 
     columns: Mapping[str, ColumnArray]

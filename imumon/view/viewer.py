@@ -23,7 +23,7 @@ VIEWER_MEMORY = "2GB"
 """Above this the viewer forgets the oldest data, so that a session may last for days."""
 SERVER_MEMORY, PAGE_MEMORY = "256MB", "110MB"
 """What a server keeps for viewers that come later, and for pages.  All estimators make 0.30 MB/s at 100 Hz,
-0.13 MB/s in the batches of a page.  Pages took in 120 MB; from 156 MB on most hung, at 5 GB."""
+0.13 to 0.15 MB/s at any rate as a page gets it.  Pages took in 120 MB; from 156 MB on most hung, at 5 GB."""
 
 LIVE_APPLICATION, APPLICATION = "imumon-live", "imumon"
 """Of live views and of recordings: a viewer keeps an arrangement for each."""

@@ -14,7 +14,7 @@ from support.scenes import Scene, simulated, view_items
 from imumon.charts import AXIS_COLORS, ORANGE
 from imumon.view.items import ViewSetup, merge
 from imumon.view.logger import StreamLogger
-from imumon.view.publisher import WEB_BATCH_S
+from imumon.view.publisher import WEB_BATCH_S, WEB_STEP_NS
 from imumon.view.viewer import PAGE_MEMORY, free_port
 from imumon.view.web import WebServer
 from tests.view.browser import Browser, browser, browser_binary
@@ -25,6 +25,7 @@ BLENDED = 40
 """A line with its band about it has not quite its own colour; what the page warns of is another orange."""
 TAKES_S = 60.0
 """In which the page takes in what came before it, or hangs: it took 12 s."""
+FAST_BAUD = 921_600
 LINES, LINE_PIXELS = (AXIS_COLORS["z"], ORANGE), 200
 """The angular rate z in the first tab, the temperature rate in the second."""
 
@@ -79,11 +80,15 @@ def test_two_tabs_in_a_browser_show_something_and_nothing_goes_out(binary: str, 
 
 @pytest.mark.long
 @pytest.mark.viewer
-def test_a_browser_that_joins_after_ten_minutes_shows_them(binary: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
+def test_a_browser_that_joins_after_ten_minutes_shows_them(
+    binary: str, tmp_path: Path, rate_hz: float
+) -> None:
     seconds = 600
-    scene = Scene("late", "ax1", simulated("bench", "ax1", seconds))
+    scene = Scene("late", "ax1", simulated("bench", "ax1", seconds, rate_hz, FAST_BAUD), baudrate=FAST_BAUD)
     setup, items = view_items("late", scene)
-    served, size = Page(setup), round(len(items) * WEB_BATCH_S / seconds)
+    served = Page(setup._replace(step_ns=WEB_STEP_NS))
+    size = round(len(items) * WEB_BATCH_S / seconds)
     for first in range(0, len(items), size):
         served.logger.log(merge(items[first : first + size]))
     served.rec.flush()

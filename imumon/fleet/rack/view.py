@@ -82,7 +82,8 @@ class UnitsLogger:
         known = self._units.get(setup.title)
         if known is None or known[0] != setup:
             below: Any = Below(self._rec, f"/{setup.title}")
-            logger = StreamLogger(below, setup._replace(window_s=self._setup.window_s), live=True)
+            here = setup._replace(window_s=self._setup.window_s, step_ns=self._setup.step_ns)
+            logger = StreamLogger(below, here, live=True)
             logger.declare()
             self._units[setup.title] = setup, logger
 
