@@ -234,3 +234,12 @@ def test_a_test_with_one_reading_of_the_temperature_is_not_used_and_that_is_repo
     diagnosis = diagnose(train, test)
     assert not diagnosis.test
     assert f"{test[0].name}: not used, it lacks temperature" in diagnosis.caveats
+
+
+def test_a_driver_in_every_slot_of_a_slow_log_is_used() -> None:
+    """With slots of more than a minute every driver was hardly recorded."""
+    train, test = three(still, SECONDS)
+    for one in (*train, *test):
+        one.mean["pressure"] = 1000.0 + np.arange(SECONDS) % 7
+    slow = [[replace(one, slot_s=120.0) for one in runs] for runs in (train, test)]
+    assert usable_drivers(*slow, ["temperature", "gyro_x"], None, [], []) == ["pressure"]
