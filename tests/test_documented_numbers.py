@@ -28,10 +28,11 @@ from imumon.estimation.alignment.stage import LONGEST_GAP_S
 from imumon.estimation.attitude.fusion import TAU_ACC_S
 from imumon.estimation.attitude.sigma import CONFIRMING_TURN, IRON
 from imumon.estimation.gyro_bias.bank import SENSITIVITY_SD
+from imumon.estimation.gyro_bias.hypotheses import LAG_S
 from imumon.estimation.rest.odds import of_changed_bias
 from imumon.estimation.rest.parameters import RestParameters
 from imumon.estimation.smoothing.stage import MEDIAN
-from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS
+from imumon.estimation.temperature_rate.filter import CODE_MODELS, JERK_PSDS, MEAN_MODELS, WHITE_SDS
 from imumon.estimation.temperature_rate.stage import RAMP_S, MultipleModelRate
 from imumon.geodesy import DEG_PER_H, EARTH_RATE, MICRO_G, STANDARD_GRAVITY
 from imumon.papers.dense_zupt import DenseSettings
@@ -130,6 +131,11 @@ def test_number_of_simulated_cases() -> None:
     cases = numbers_in("appendix/closing-the-loop-results.md", r"(\d+) of its \d+ cases")
     assert numbers_in("appendix/README.md", r"(\d+) simulated cases") == cases
     assert numbers_in("closing-the-loop.md", r"are of all (\d+) cases") == cases
+    results = tables("appendix/closing-the-loop-results.md")
+    rows = [row for table in results for row in table if row[1] == "0.5"]
+    right = [sum(map(float, column)) for column in zip(*(numbers(row[2])[:2] for row in rows), strict=True)]
+    for page in ("closing-the-loop.md", "appendix/closing-the-loop-measured.md"):
+        assert numbers_in(page, r"half a floor\S* (\d+) of (\d+) are named right") == right
 
 
 def test_worst_seeds_of_the_bias_race() -> None:
@@ -364,6 +370,7 @@ ROWS: list[tuple[str, str, Numbers]] = [
             Source(JUMPED, "r == pytest.approx([#, #, #]"),
             Source(JUMPED, "sd.max() == pytest.approx(#"),
             Source(JUMPED, "np.median(sd, axis=0) == pytest.approx([#, #, #]"),
+            NOWHERE,  # the largest error over sigma of the same record
         ],
     ),
     ("smoothing.md", "| a chamber that changes its rate at once ", []),
@@ -441,6 +448,30 @@ ROWS: list[tuple[str, str, Numbers]] = [
             Source(FIELD, f"{SLOW_RAMP}| * | * | * | # | # |", largest),
         ],
     ),
+    ("rest-detector.md", "| turns below ", [turn_at(0.1), LAG_S]),
+    ("rest-detector.md", "| turns that begin slower ", [turn_at(0.25) / (2.0 * LAG_S), turn_at(0.25)]),
+    (
+        "rest-detector.md",
+        "| a recording that begins in a turn ",
+        [
+            Source(REST, "the turn is detected after # to 8 s"),
+            Source(REST, "or 15 to # s (0.3 °/s"),
+            Source(REST, "It is mostly not detected at # °/s and less"),
+        ],
+    ),
+    ("rest-detector.md", "| any jump of the bias ", [math.degrees(RestParameters().largest_jump)]),
+    (
+        "rest-detector.md",
+        "| the bias jumps by 324 ",
+        [
+            turn_at(0.5),
+            math.degrees(RestParameters().largest_jump),
+            60,
+            turn_at(0.5) / 60.0,
+            *(math.sqrt(1.0 + 1.0 / odds_of_change(dph)) for dph in (turn_at(0.5), LARGEST_JUMP)),
+            RestParameters().undecided_s / 3600.0,
+        ],
+    ),
     # gyro bias
     (
         "tczupt.md",
@@ -466,11 +497,6 @@ ROWS: list[tuple[str, str, Numbers]] = [
         "tczupt.md",
         "| the temperature changes in motion",
         [Source(WARMING, '("standard", 0.0, 0, False, #)'), 2, Source(WARMING, "SLOPE = #")],
-    ),
-    (
-        "tczupt.md",
-        '| `RestAndBias(mode="learned")` in Python',
-        [Source(WARMING, '("learned", #, 0, False, #), ("learned", #, 0, False, #)')],
     ),
     (
         "tczupt.md",
@@ -611,6 +637,16 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ("smoothing.md", "min(r, median(ρ) / #)); # is the median", [MEDIAN, MEDIAN]),
     (
         "smoothing.md",
+        "up to # for two rests, # for twenty",
+        [1.0 + math.sqrt(2.0 / 2.0), 1.0 + math.sqrt(2.0 / 20.0)],
+    ),
+    (
+        "smoothing.md",
+        "r of the bias is # to #.",
+        [Source(SMOOTHING, "| # | # to # |", lambda found: least_and_largest([one[1:] for one in found]))],
+    ),
+    (
+        "smoothing.md",
         "σ is # to # times as wide as needed",
         [
             Source(
@@ -624,6 +660,21 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
         "temperature-rate.md",
         "a filter runs for each combination of # values of q and # *noise models*",
         [len(JERK_PSDS), len(CODE_MODELS) + len(MEAN_MODELS)],
+    ),
+    (
+        "temperature-rate.md",
+        "# models are for noise below a step: # sizes of white noise, and four",
+        [len(CODE_MODELS), len(WHITE_SDS)],
+    ),
+    (
+        "temperature-rate.md",
+        "at # °C/h a step of # °C takes # min",
+        [1, 0.0625, 0.0625 * 60.0],
+    ),
+    (
+        "thermal-calibration.md",
+        "(# °/h off # °C outside,",
+        [Source("appendix/thermal-calibration-results.md", "| tangent | * | * | # |"), 2],
     ),
     (
         "temperature-rate.md",
@@ -680,13 +731,28 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "rest-detector.md",
-        "for turns below # °/h, with",
-        [turn_at(0.1)],
+        "a turn below # °/s (# °/h) is mostly called rest, and σ is then wide. Below # °/h",
+        [turn_at(0.5) / 3600.0, turn_at(0.5), turn_at(0.1)],
+    ),
+    (
+        "rest-detector.md",
+        "A turn of # °/s that begins within # s is called rest for # % of its time at most",
+        [0.5, 0.5, Source(FIELD, f"{QUICK_TURN.replace('0.05', '0.5')}| # % false |", largest)],
+    ),
+    (
+        "rest-detector.md",
+        "changes the rate by less than # °/h within # s, so P(turn) stays below 1/4",
+        [turn_at(0.25), 2.0 * LAG_S],
     ),
     (
         "tczupt.md",
         "60 N/√t at best: # °/h after 10 s, # °/h after a minute",
         [Source(TCZUPT, "60 ARW/√t: # after 10 s, * after 30 s, # after 60 s")],
+    ),
+    (
+        "appendix/tczupt-details.md",
+        "with # °C the bias is off by # σ, with # °C by # σ",
+        [Source(WARMING, '("learned", #, 0, False, #), ("learned", #, 0, False, #)')],
     ),
     (
         "tczupt.md",
@@ -698,10 +764,20 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "alignment.md",
-        "by # µrad in a minute turns the mean of the gyros over that minute by up to #°",
-        [200, math.degrees(200e-6 / 60.0 / DEG_PER_H / LEVEL_RATE)],
+        "by # µrad (#°) in a minute turns the mean of the gyros over that minute by up to #°",
+        [200, math.degrees(200e-6), math.degrees(200e-6 / 60.0 / DEG_PER_H / LEVEL_RATE)],
     ),
     ("alignment.md", "At #° latitude the horizontal part is # °/h", [36, LEVEL_RATE]),
+    (
+        "alignment.md",
+        "At rest # ppm turn the heading by #° at #° and by #° at #°.",
+        [300, *(of for at in (36, 60) for of in (300e-6 * DEGREE / math.cos(math.radians(at)), at))],
+    ),
+    (
+        "alignment.md",
+        "by # °/h between the two positions of half a turn turns the heading by up to #° at #°",
+        [1, 0.5 / LEVEL_RATE * DEGREE, 36],
+    ),
     (
         "alignment.md",
         "accelerometers alone leaves [#°]",
@@ -1133,9 +1209,11 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "published.md",
-        "An exponential mean of # s has #. All but `stf` are equal within the scatter, # to # °/h",
+        "an exponential mean of # s has # °/h; the mean of the first minute, held, has # °/h. So imumon, the two "
+        "unscented filters and the exponential mean are equal within the scatter, # to # °/h",
         [
             Source("random-error.md", "| exponential mean, # s | # |"),
+            Source("random-error.md", "| mean of the first minute, held | # |"),
             Source("random-error.md", "equal within the scatter of the runs (# to # °/h)"),
         ],
     ),
