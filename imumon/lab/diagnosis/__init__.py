@@ -22,8 +22,8 @@ t of F and R is the mean time of a block: that averaging smooths what is as fast
 S is the BIC with its sign turned.  `choices`, of an effect of a driver other than temperature, time and
 specific force, is the number of such drivers times that of the kinds that have a driver; else 1.  The last
 terms of (3) and (5) are those of the extended BIC (Chen & Chen 2008, doi:10.1093/biomet/asn034).  That of (5)
-pays for a sum over the axes that show a family: by chance some always gain a little.  An axis alone pays
-nothing, as its false names are kept away by the verdict; live one pays for the families as well, as it is searched again and again.
+pays for a sum over the axes that show a family: by chance some always gain a little.  One alone pays nothing,
+its false names are kept away by the verdict; live one pays for the families, as it is searched ever again.
 
 A gain is nearly twice the logarithm of a Bayes factor: while nothing is missing, the probability that that
 of one model ever exceeds g is about exp(-g / 2) at most, however often tested (Ville 1939; Shafer et al.
