@@ -116,23 +116,23 @@ class Fusion:
                 self._begin()
             while self._vqf is None and start < stop:
                 self._learn_rate(int(time_ns[start]), *(values[start] for values in sensors[1:]))
-                start += 1
+                start += self._vqf is None
             while start < stop:
                 end = start + self._learn_field_rate(sensors[2][start:stop])
-                given = (values[start:end] for values in sensors)
-                self._follow(rows[start:end], bool(bias_known[start]), *given)
+                self._follow(rows[start:end], bool(bias_known[start]), *(one[start:end] for one in sensors))
                 start = end
         return rows
 
     def _learn_rate(self, time_ns: int, accel: FloatArray, field: FloatArray) -> None:
-        """Take the time of a sample; make the filter when the first intervals are known."""
+        """Take the time of a sample, or make the filter, which then gets it, when the interval is known."""
         self._first_ns = [*self._first_ns[-RATE_SAMPLES:], time_ns]
+        if self._samples >= RATE_SAMPLES and accel.any():
+            self._interval_s = max(float(np.median(np.diff(self._first_ns))), 1.0) * 1e-9
+            self._vqf = VQF(self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
+            return
         if field.any():
             self._fields = [*self._fields[-RATE_SAMPLES:], self._samples]
         self._samples += 1
-        if self._samples > RATE_SAMPLES and accel.any():
-            self._interval_s = max(float(np.median(np.diff(self._first_ns))), 1.0) * 1e-9
-            self._vqf = VQF(self._interval_s, tauAcc=TAU_ACC_S, tauMag=TAU_MAG_S)
 
     def _learn_field_rate(self, field: FloatArray) -> int:
         """Return how many samples come before the next field; all once enough have shown their interval."""

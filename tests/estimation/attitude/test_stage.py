@@ -468,3 +468,19 @@ def test_gyros_without_gravity_have_no_attitude() -> None:
         later = silent.with_columns({"device_time_ns": silent["device_time_ns"] + k * 5_000_000_000})
         stage.process(later)
     assert len(pickle.dumps(stage)) < size + 100  # it keeps no samples
+
+
+@pytest.mark.parametrize("every", [1, 10, 100])
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_axes_are_found_with_accelerometers_slower_than_the_gyros(every: int, up: float) -> None:
+    """Of FRD axes the roll was off by half a turn."""
+    n, tilt = 2000, np.radians(20.0)
+    force = np.tile(up * STANDARD_GRAVITY * np.array([0.0, np.sin(tilt), np.cos(tilt)]), (n, 1))
+    force[np.arange(n) % every > 0] = np.nan
+    still = 1e-4 * np.random.default_rng(0).standard_normal((n, 3))
+    columns = {f"gyro_{axis}": still[:, j] for j, axis in enumerate("xyz")}
+    columns |= {f"accel_{axis}": force[:, j] for j, axis in enumerate("xyz")}
+    time_ns = np.arange(n, dtype=np.int64) * 10_000_000
+    block = SampleBlock({"device_time_ns": time_ns, "segment": np.zeros(n, np.int64), **columns})
+    found = AttitudeEstimate().process(block)
+    np.testing.assert_allclose(np.degrees(found["attitude_estimate_roll"][-1000:]), 20.0, atol=0.2)
