@@ -133,7 +133,7 @@ def test_number_of_simulated_cases() -> None:
     assert numbers_in("closing-the-loop.md", r"are of all (\d+) cases") == cases
     results = tables("appendix/closing-the-loop-results.md")
     rows = [row for table in results for row in table if row[1] == "0.5"]
-    right = [sum(map(float, column)) for column in zip(*(numbers(row[2])[:2] for row in rows), strict=True)]
+    right = [sum(map(float, column)) for column in zip(*(numbers([row[2]])[:2] for row in rows), strict=True)]
     for page in ("closing-the-loop.md", "appendix/closing-the-loop-measured.md"):
         assert numbers_in(page, r"half a floor\S* (\d+) of (\d+) are named right") == right
 
@@ -1209,8 +1209,8 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "published.md",
-        "an exponential mean of # s has # °/h; the mean of the first minute, held, has # °/h. So imumon, the two "
-        "unscented filters and the exponential mean are equal within the scatter, # to # °/h",
+        "an exponential mean of # s has # °/h; the mean of the first minute, held, has # °/h. So imumon, the "
+        "two unscented filters and the exponential mean are equal within the scatter, # to # °/h",
         [
             Source("random-error.md", "| exponential mean, # s | # |"),
             Source("random-error.md", "| mean of the first minute, held | # |"),

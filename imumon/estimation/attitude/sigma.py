@@ -34,7 +34,7 @@ SCALE_SD = 0.02  # s0 of gyros that are not declared: between 1 % of a calibrate
 SCALE_TURN = 2.0  # w0, rad²: s0 counts like so much turn.  Ablation.
 CONFIRMING_TURN = 0.1
 """rad² of tilt by turns about the gyros' own axes that confirm all three, by any of them.  Each turn counts
-half: a quick tilt of 19° that is held for 3 s and taken back is enough, or one of 26° alone.  Ablation."""
+half: a quick tilt of 18° that is held for 3 s and taken back is enough, or one of 26° alone.  Ablation."""
 LARGEST_CHANGE = 0.05  # share of these rad² that the sum of d may have.  Ablation.
 IRON = 0.025
 """k_iron, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""

@@ -43,6 +43,7 @@ from imumon.estimation.rest.slots import Measurement
 from imumon.geodesy import STANDARD_GRAVITY
 
 STATES = 8
+IDENTITY = np.eye(STATES)
 WALK, G1, FLICKER, SLOPE, SENSITIVITY = 0, 1, slice(1, 4), 4, slice(5, 8)
 TAUS_S = np.array([1.0, 30.0, 1000.0])  # of the flicker: from a second to the longest rest that matters
 FLOOR_OF_FLICKER = 0.664  # floor of the Allan deviation over B, sqrt(2 ln 2 / π) (IEEE 952)
@@ -87,7 +88,7 @@ class States:
         warming = _where_known(held - self.held_degc).reshape(axes)  # dT
         keeps = np.exp(-dt / TAUS_S)
         f, growth = np.zeros((*axes, STATES, STATES)), np.zeros((*axes, STATES))
-        f[:] = np.eye(STATES)
+        f[:] = IDENTITY
         f[..., FLICKER, FLICKER] *= keeps
         f[..., WALK, SLOPE] = warming
         growth[..., WALK], growth[..., FLICKER], growth[..., SLOPE] = dt, 1.0 - keeps**2, np.abs(warming)
@@ -114,7 +115,7 @@ def measurement_row(force: FloatArray) -> FloatArray:
     return np.array([1.0, 1.0, 1.0, 1.0, 0.0, *force])
 
 
-TO_TERMS = np.vstack([measurement_row(np.zeros(3)), np.eye(STATES)[SENSITIVITY]])  # `LinearBias.terms` of x
+TO_TERMS = np.vstack([measurement_row(np.zeros(3)), IDENTITY[SENSITIVITY]])  # `LinearBias.terms` of x
 
 
 class LinearBias(NamedTuple):
@@ -227,7 +228,7 @@ class Bank(States):
         before = cls(
             noise_scale=noise_scale,
             mean=np.zeros_like(variance),
-            covariance=variance[..., None] * np.eye(STATES),
+            covariance=variance[..., None] * IDENTITY,
             time_s=now.end_s - now.covered_s,
             held_degc=now.degc_and_sd[0],
             degc_and_sd=now.degc_and_sd,

@@ -35,6 +35,7 @@ class Estimator:
     ) -> None:
         self.parameters, self.slopes, self.limits = parameters, slopes, limits
         self.thermal, self.attitude, self.quiet = thermal, attitude, QuietDetector()
+        self.drift = np.repeat([limits.gyro_drift, limits.accel_drift], 3)  # permitted at rest, (6,)
         self.jumps = 0  # how often the bias has jumped, other than by a restart
         self.restart()
 
@@ -74,7 +75,7 @@ class Estimator:
         degc_and_sd = slot.mean[DEGC].reshape(2, 3)
         self.degc_and_sd = np.where(np.isfinite(degc_and_sd[0]), degc_and_sd, self.degc_and_sd)
         self._widen(self.thermal.take_temperature(degc_and_sd[0], slot.mean[POWER_ON_SD], 0.0))
-        self.quiet.update(slot, np.repeat([self.limits.gyro_drift, self.limits.accel_drift], 3))
+        self.quiet.update(slot, self.drift)
         if not self.quiet.present[GYRO].all():
             self.attitude.lost = True
             return innovation

@@ -50,8 +50,7 @@ class GyroBiasParameters(StrictModel):
         rest, from this value on if it is given.
     bias_instability_rad_per_s, rate_random_walk_rad_per_s_per_sqrt_s : float or [x, y, z], optional
         Flicker coefficient B (floor of the Allan deviation 0.664 B) and bias random walk K, rad/s/√s.  When
-        one is given, both hold, the other being zero.  When neither is, how much the bias wanders is learned
-        from the innovations.
+        one is given, both hold, the other being zero.  When neither is, the wander of the bias is learned.
     assume_at_rest : bool
         Whether motion is not detected: rest is that of the column at_rest of the samples, and without one the
         unit rests throughout.  A rate that contradicts the bias is bias at once; for 60 s both are in sigma.

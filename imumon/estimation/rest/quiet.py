@@ -121,7 +121,7 @@ class QuietDetector:
         and `update` then finds the slot unquiet."""
         tolerance = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
         tolerance += SPIKE_QUIET_SDS * QUIET_SD + SPIKE_STEPS * self.step
-        centre = self.mean[-SECOND_SLOTS:].mean(0)
+        centre = self.mean[-SECOND_SLOTS:].sum(0) / SECOND_SLOTS
         far = ((readings < centre - tolerance) | (readings > centre + tolerance)).any(1)
         self.disturbed = bool(far.any())
         return ~np.maximum.accumulate(far)
@@ -157,7 +157,7 @@ class QuietDetector:
         self.latest = [*self.latest[1 - TRIAL :], slot]
         readable = np.isfinite(slot.mean[:AXES])
         self.unread = np.where(readable, 0, self.unread + 1)
-        self.mean = np.vstack([self.mean[1:], np.where(readable, slot.mean[:AXES], self.mean[-1])])
+        self.mean = np.concatenate([self.mean[1:], np.where(readable, slot.mean[:AXES], self.mean[-1:])])
         if (present_before != self.present).any():
             self.noise_slots = 0.0
             self.restart()

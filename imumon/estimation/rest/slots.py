@@ -22,8 +22,7 @@ MODELLED, POWER_ON_SD, HEADING = (slice(AXES + 3 * i, AXES + 3 * i + 3) for i in
 DEGC = slice(AXES + 9, AXES + 15)
 REST_GIVEN, GATHERED = AXES + 15, AXES + 16
 GYRO_SETS = 4  # the segment of a slot is that of the samples times this, plus how many gyros the unit lacks
-# rad/s (2 °/s) and m/s² (1/61 g): more than steps of 8 bits for ±250 °/s and ±2 g.  Where readings rarely
-# change, but by more (rms), the unit shakes.
+# rad/s (2 °/s) and m/s² (1/61 g): above steps of 8 bits for ±250 °/s and ±2 g.  A larger change is motion.
 COARSEST_STEPS = (0.035, 0.16)
 
 
@@ -113,8 +112,7 @@ class Timing:
 
 
 def heading_of(block: SampleBlock) -> FloatArray:
-    """Return a vector that turns with the heading, (n, 3): the magnetic field in body axes, else cosine and
-    sine of the yaw and zero, else NaN."""
+    """Return the magnetic field in body axes, else cosine and sine of the yaw and zero, else NaN, (n, 3)."""
     if block.mag is not None:
         return block.mag
     yaw = block.columns.get("yaw")

@@ -161,6 +161,7 @@ def predict(thermometer: Thermometer, filters: Filters, time_s: float) -> Filter
     f = np.array([[1.0, dt, half, 0.0], [0.0, 1.0, dt, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
     q = np.array([[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, half], [dt**3 / 6, half, dt]])
     x, p = _times(f, x), _times(f, _times(f, p).swapaxes(0, 1))
+    p = 0.5 * (p + p.swapaxes(0, 1))  # else what rounding leaves unsymmetric grows with each step
     p[:ERROR, :ERROR] += q[:, :, None, None] * JERK_PSDS
     slow, walk_per_s = slow_error(thermometer)
     phi = np.exp(-dt / NOISE.tau_s)  # depends on the noise model, so F has 1 in its place

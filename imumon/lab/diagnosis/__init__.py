@@ -22,13 +22,13 @@ t of F and R is the mean time of a block: that averaging smooths what is as fast
 S is the BIC with its sign turned.  `choices`, of an effect of a driver other than temperature, time and
 specific force, is the number of such drivers times that of the kinds that have a driver; else 1.  The last
 terms of (3) and (5) are those of the extended BIC (Chen & Chen 2008, doi:10.1093/biomet/asn034).  That of (5)
-pays for a sum over the axes that show a family: by chance some always gain a little.  An axis alone sums
-nothing, and pays nothing; live one pays for the families as well, as it is searched again and again.
+pays for a sum over the axes that show a family: by chance some always gain a little.  One alone pays nothing,
+its false names are kept away by the verdict; live one pays for the families, as it is searched ever again.
 
 A gain is nearly twice the logarithm of a Bayes factor: while nothing is missing, the probability that that
 of one model ever exceeds g is about exp(-g / 2) at most, however often tested (Ville 1939; Shafer et al.
 2011, doi:10.1214/10-STS347).  Of the best of k models it is k times that: the prices of theta and of a choice
-are for this.  (4) is that of steps 1 to 4; in 5, and between bases, S alone counts, any r and q.
+are for this.  (4) is that of all trials; for a drop, and between bases, S alone counts, any r and q.
 
 **Search** (`search`), stepwise over all axes of a sensor, which share one physics.  1 to 4 are a stage:
 
@@ -44,7 +44,8 @@ are for this.  (4) is that of steps 1 to 4; in 5, and between bases, S alone cou
 4. The axes that are left choose again, each without what it has refused, until no family exceeds the bar.
    Axes to which nothing was added are finished; the others begin another stage.
 5. *Drop.*  After the last stage each axis drops what the rest makes needless, takes alternatives that are
-   likelier beside it, and refines; before the first one with the effects of the present model.
+   likelier beside it, and refines.  Effects of the present model: before the first stage those worth 8 or
+   less stay as they are, the others are refined.
 
 **Verdict** (`claims`, `verdict`): of what was found, that is claimed which explains training and the test, if
 any.  It is fitted by ordinary least squares; of a test, what carries over is predicted, the rest estimated.

@@ -69,7 +69,7 @@ class Hypothesis:
 
 def choose_claims(channel: Channel, search: AxisSearch) -> tuple[Hypothesis, list[Note]]:
     """Return what is claimed, by the four steps above, and what the second leaves out."""
-    nothing_new = _hypothesis(channel, [one for one in search.findings if one.of_present_model])
+    nothing_new = _hypothesis(channel, search.of_present)
     passed, left_out = _not_refuted(channel, _without_small_jumps(channel, search))
     trained = _hypothesis(channel, passed)
     if trained.new and (why := _refutation(trained)):
@@ -134,7 +134,7 @@ def _refutation(trial: Hypothesis) -> str:
     channel, score = trial.channel, trial.test_after
     floor, white = channel.total_floor, channel.floor.sd
     if channel.test and not np.isfinite(score.rms):
-        return "no block of the test can be scored with it"
+        return "too few blocks of the test can be scored with it"
 
     def unless_explained(what: str, before: float, after: float, least: float) -> str:
         share = explained_share(before, after, floor)

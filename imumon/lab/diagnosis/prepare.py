@@ -20,7 +20,7 @@ from imumon.models.curves.polynomial import PolynomialCurve
 from imumon.models.model import BiasModel
 from imumon.models.predictor import BiasPredictor
 
-from .blocks import BLOCK_S, LEAST_BLOCKS, RunInBlocks, RunsInBlocks, common_block_s, make_blocks
+from .blocks import LEAST_BLOCKS, RunInBlocks, RunsInBlocks, common_block_s, make_blocks
 from .runs import CHANNELS, MOSTLY, SENSORS, SHORTEST_RUN_S, Columns, Names, Run, Runs, channels_of, unit_of
 
 Remarks = list[str]  # what is left out and why, and what limits the result: functions add to it
@@ -101,10 +101,11 @@ def usable_drivers(
             f"there are {', '.join(possible) or 'none'}; a map names others with other: {{NAME: ...}}",
         )
     needed = [name for effect in present for name in effect.inputs if name != ACCEL_DRIVER]
-    usable = []
+    usable, every = [], [*train, *test]
+    block_s = common_block_s(every)
     for name in dict.fromkeys([*(possible if wanted is None else wanted), *needed]):
         # A driver may be slow: a value in every other block is enough.
-        runs = [run.name for run in (*train, *test) if _share_with(run, name) < 0.5 * run.slot_s / BLOCK_S]
+        runs = [run.name for run in every if _share_with(run, name) < 0.5 * run.slot_s / block_s]
         hardly = f"{name} is hardly recorded in {', '.join(runs)}"
         if runs and name in needed:
             raise bad_data(f"{hardly}, and the model has an effect of it", "give no model, but --declared")

@@ -154,6 +154,7 @@ class AxisSearch:
         anew = [effect for effect in channel.present_effects or () if effect not in channel.fixed_effects]
         # In the order in which they were found, those of the present model first.
         self.findings = [Finding(Candidate((Part(effect),)), of_present_model=True) for effect in anew]
+        self.of_present = [*self.findings]  # also those that others make needless, should these be refused
         self.tables: list[GainTable] = []  # the gains of each stage
         # What was added or exchanged, the model after that, and the gain (NaN of an exchange).
         self.history: list[tuple[str, Candidates, float]] = []
@@ -172,7 +173,7 @@ class AxisSearch:
     @property
     def present(self) -> list[Candidate]:
         """The effects of the present model that are fitted anew."""
-        return [finding.candidate for finding in self.findings if finding.of_present_model]
+        return [finding.candidate for finding in self.of_present]
 
     def maximum(self, model: Candidates) -> tuple[float, Noise]:
         """Return loglik (2) of a model at its maximum, and the noise there."""
@@ -340,6 +341,7 @@ class AxisSearch:
         for finding in [*self.findings]:
             if self.criterion(self.model) - self.criterion(self._others(finding)) <= PROVEN_GAIN:
                 self.findings.remove(finding)
+                self.of_present.remove(finding)
                 fixed = (*self.channel.fixed_effects, finding.candidate.parts[0].effect)
                 self.channel = replace(self.channel, fixed_effects=fixed)
         self._refine_each(exchange=False)

@@ -98,7 +98,7 @@ class ChannelVerdict(Hypothesis):
 
     @property
     def unexplained(self) -> bool:
-        """More than 1.8 total floors are left in training, or in the test after the named effects; or a
+        """1.8 total floors or more are left in training, or in the test after the named effects; or a
         session has two jumps."""
         # Without a test its rms is NaN, and `max` returns the first.
         left = max(self.after.train_rms, self.test_rms if self.claims else 0.0)

@@ -408,3 +408,15 @@ def test_a_swing_behind_steps_of_a_degree_is_not_taken_for_a_slow_error(
     assert usual < 12.0
     monkeypatch.setattr(measurement, "RENEWAL", 0.0)
     assert usual < 0.7 * rms()
+
+
+def test_covariances_stay_symmetric_for_hours() -> None:
+    """What rounding leaves unsymmetric grew with each step; after seven hours the estimate was NaN."""
+    method = MultipleModelRate(0.05)
+    reading = quantized(steady(2.0, 1.5, 1.0), 0.02)
+    method.process(*clock(len(reading), 1.0), reading)
+    assert method._filters is not None
+    p = method._filters.p
+    sd = np.sqrt(np.einsum("ii...->i...", p))
+    skew = np.abs(p - p.swapaxes(0, 1)) / np.maximum(sd[:, None] * sd, 1e-300)
+    assert skew.max() < 1e-12

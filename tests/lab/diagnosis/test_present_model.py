@@ -16,6 +16,7 @@ from imumon.effects.since_power_on import Drift, WarmUp
 from imumon.effects.temperature_curve import TemperatureCurve
 from imumon.errors import ImumonError, Reason
 from imumon.lab.diagnosis.candidates import Candidate, Finding, Part, Scored
+from imumon.lab.diagnosis.claims import choose_claims
 from imumon.lab.diagnosis.diagnose import diagnose, likeliest
 from imumon.lab.diagnosis.extended import extended_model
 from imumon.lab.diagnosis.live import LiveDiagnosis, better_models
@@ -233,3 +234,21 @@ def test_a_test_that_an_effect_of_the_present_model_worsens_does_not_take_it_out
         assert effect.name == "warm_up"
         assert (verdict.refit, verdict.left_out) == (refit, [])
         assert verdict.prediction.rms <= verdict.test_before.rms
+
+
+def test_an_effect_of_the_present_model_comes_back_where_what_made_it_needless_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The model was fitted anew with neither."""
+    monkeypatch.setattr("imumon.lab.diagnosis.diagnose.effects_for", lambda _: [])
+
+    def warming(time: np.ndarray, degc: np.ndarray) -> np.ndarray:
+        return np.asarray(20.0 * ((degc - 25.0) / 15.0) ** 2 + 100.0 * np.exp(-time / 300.0))
+
+    train, test = three(warming, SECONDS)
+    warm_up = WarmUp(time_constant_s=300.0, coefficients=[50.0 * DPH])
+    (verdict,) = diagnose(train, test, model=with_effect(warm_up)).verdicts
+    assert [one.name for one in verdict.search.findings] == ["warm_up"]
+    verdict.search.findings = [Finding(DRIFT)]
+    trained, _ = choose_claims(verdict.channel, verdict.search)
+    assert [part.effect.label for part in trained.after.parts] == ["warm_up"]

@@ -234,3 +234,14 @@ def test_a_test_with_one_reading_of_the_temperature_is_not_used_and_that_is_repo
     diagnosis = diagnose(train, test)
     assert not diagnosis.test
     assert f"{test[0].name}: not used, it lacks temperature" in diagnosis.caveats
+
+
+def test_a_driver_in_every_slot_of_a_slow_log_is_used() -> None:
+    """With slots of more than a minute every driver was hardly recorded."""
+
+    def slow(one: Run) -> Run:
+        pressure = np.asarray(1000.0 + np.arange(SECONDS) % 7, np.float64)
+        return replace(one, slot_s=120.0, mean={**one.mean, "pressure": pressure})
+
+    train, test = ([slow(one) for one in runs] for runs in three(still, SECONDS))
+    assert usable_drivers(train, test, ["temperature", "gyro_x"], None, [], []) == ["pressure"]
