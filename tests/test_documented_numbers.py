@@ -394,7 +394,12 @@ ROWS: list[tuple[str, str, Numbers]] = [
     (
         "temperature-rate.md",
         "| [popcorn noise]",
-        [Source(RATE, "off by up to # of its sigmas (rms 15 for 3 steps of 60 s), the rate by up to #")],
+        [
+            Source(
+                RATE,
+                "off by up to # of its sigmas (rms 15 for jumps of 3 steps, 60 s apart on average), the rate by up to #",
+            )
+        ],
     ),
     # Allan deviation
     (
@@ -620,8 +625,9 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "attitude.md",
-        "A quick tilt by #° that is held for # s decides",
-        [math.degrees(math.sqrt(2.0 * CONFIRMING_TURN)), TAU_ACC_S],
+        "A quick tilt that is taken back after # s, as in step 2, decides from #° on; one that is not taken"
+        " back, from #° on",
+        [TAU_ACC_S, *(math.degrees(math.sqrt(k * CONFIRMING_TURN)) for k in (1.0, 2.0))],
     ),
     ("attitude.md", "at least # % of the field: #°", [100.0 * IRON, math.degrees(IRON * 50.0 / 20.0)]),
     (
@@ -705,7 +711,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ),
     (
         "allan.md",
-        "were then printed in # % of records at most",
+        "was then printed in # % of records at most",
         [Source(ALLAN, "not in the noise were printed in # % of the records at most")],
     ),
     (
@@ -770,7 +776,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
     ("alignment.md", "At #° latitude the horizontal part is # °/h", [36, LEVEL_RATE]),
     (
         "alignment.md",
-        "At rest # ppm turn the heading by #° at #° and by #° at #°.",
+        "If your gyros have # ppm, they turn the heading at rest by #° at #° and by #° at #°, and sigma",
         [300, *(of for at in (36, 60) for of in (300e-6 * DEGREE / math.cos(math.radians(at)), at))],
     ),
     (
@@ -1132,7 +1138,7 @@ SENTENCES: list[tuple[str, str, Numbers]] = [
             Source(NIGHT, "instability °/h #(", lambda found: [FLOOR_PER_INSTABILITY * found[0][0]]),
         ],
     ),
-    (NIGHT, "only if the curve needs it by more than # of its standard deviations", [SHOWN]),
+    (NIGHT, "only if its fitted value is more than # of its standard deviations from zero", [SHOWN]),
     (
         NIGHT,
         "White noise alone would be at # °/h at # s",
