@@ -397,7 +397,8 @@ ROWS: list[tuple[str, str, Numbers]] = [
         [
             Source(
                 RATE,
-                "off by up to # of its sigmas (rms 15 for jumps of 3 steps, 60 s apart on average), the rate by up to #",
+                "off by up to # of its sigmas (rms 15 for jumps of 3 steps, 60 s apart on average), "
+                "the rate by up to #",
             )
         ],
     ),
