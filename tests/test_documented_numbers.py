@@ -354,6 +354,11 @@ ROWS: list[tuple[str, str, Numbers]] = [
             2,  # the step of the page
         ],
     ),
+    (
+        "attitude.md",
+        "| a magnet on the body, which ",
+        [Source(ATTITUDE, f"| by hand, magnet on the body | 400 | yes |{' * |' * 9} # | # |")],
+    ),
     ("attitude.md", "| magnetometer with other axes ", [NOWHERE]),
     (
         "attitude.md",
@@ -1292,7 +1297,9 @@ def test_counts_of_the_attitude_page() -> None:
     pattern = r"Single moments reach ([\d.]+): .* The other (\d+) are of"
     assert numbers_in("attitude.md", pattern) == [most, len(rows) - len(good)]
     others = {row[0] for table in simulated for row in table[1:] if max(float(row[6]), float(row[12])) > 1.5}
-    assert all("accelerometers" in name or "gyro z reversed" in name for name in others)
+    kinds = "consumer accelerometers", "gyro z reversed", "magnet on the body"
+    assert all(any(kind in name for name in others) for kind in kinds)
+    assert all(any(kind in name for kind in kinds) for name in others)
     most = max(float(row[k]) for row in measured[1:] for k in (3, 7))
     assert numbers_in("attitude.md", r"all within ([\d.]+) σ") == [most]
     assert len(measured[1:]) == 4  # "two of four trials"
