@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,9 @@ import pyarrow as pa
 from rerun.chunk import RrdReader
 
 from imumon.blocks import ColumnArray, FloatArray, IntArray, SampleBlock
-from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem
+from imumon.view.items import Log, Numbers, State, Status, Timebase, ViewItem, merge
+from imumon.view.logger import StreamLogger
+from imumon.view.publisher import WEB_BATCH_S
 from tests.waiting import LIMIT_S
 
 RATE_HZ = 100
@@ -92,6 +94,13 @@ class Stream:
     def column(self, names: tuple[str, ...]) -> FloatArray:
         """Return what was sent, side by side, (sent, len(names))."""
         return np.concatenate([np.column_stack([part[name] for name in names]) for part in self.blocks])
+
+
+def log_as_page(logger: StreamLogger, items: Sequence[ViewItem], seconds: float) -> None:
+    """Log the items of so many seconds in the batches of a page."""
+    size = round(len(items) * WEB_BATCH_S / seconds)
+    for first in range(0, len(items), size):
+        logger.log(merge(items[first : first + size]))
 
 
 def record_batches(path: Path, entity: str) -> Iterator[pa.RecordBatch]:

@@ -14,10 +14,11 @@ from support.scenes import Scene, simulated, view_items
 from imumon.charts import AXIS_COLORS, ORANGE
 from imumon.view.items import ViewSetup, merge
 from imumon.view.logger import StreamLogger
-from imumon.view.publisher import WEB_BATCH_S, WEB_STEP_NS
+from imumon.view.publisher import WEB_STEP_NS
 from imumon.view.viewer import PAGE_MEMORY, free_port
 from imumon.view.web import WebServer
 from tests.view.browser import Browser, browser, browser_binary
+from tests.view.streams import log_as_page
 from tests.view.test_screenshots import SETUP, run_of_20_s
 from tests.waiting import LIMIT_S
 
@@ -88,9 +89,7 @@ def test_a_browser_that_joins_after_ten_minutes_shows_them(
     scene = Scene("late", "ax1", simulated("bench", "ax1", seconds, rate_hz, FAST_BAUD), baudrate=FAST_BAUD)
     setup, items = view_items("late", scene)
     served = Page(setup._replace(step_ns=WEB_STEP_NS))
-    size = round(len(items) * WEB_BATCH_S / seconds)
-    for first in range(0, len(items), size):
-        served.logger.log(merge(items[first : first + size]))
+    log_as_page(served.logger, items, seconds)
     served.rec.flush()
     with browser(binary, "910,512") as page:
         page.open(served.site.url)

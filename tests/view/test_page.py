@@ -9,11 +9,11 @@ import pytest
 import rerun as rr
 from support.scenes import Scene, simulated, view_items
 
-from imumon.view.items import ViewSetup, merge
+from imumon.view.items import ViewSetup
 from imumon.view.logger import StreamLogger
-from imumon.view.publisher import WEB_BATCH_S, WEB_STEP_NS
+from imumon.view.publisher import WEB_STEP_NS
 from imumon.view.viewer import PAGE_MEMORY
-from tests.view.streams import ACCEL, Stream, block, scalars
+from tests.view.streams import ACCEL, Stream, block, log_as_page, scalars
 
 FAST_BAUD = 12_000_000
 
@@ -27,9 +27,7 @@ def test_a_page_keeps_more_than_ten_minutes_with_all_estimators(tmp_path: Path, 
     rec.set_sinks(rr.FileSink(path))
     logger = StreamLogger(rec, setup._replace(step_ns=WEB_STEP_NS), live=True)
     logger.begin()
-    size = round(len(items) * WEB_BATCH_S / seconds)
-    for first in range(0, len(items), size):
-        logger.log(merge(items[first : first + size]))
+    log_as_page(logger, items, seconds)
     rec.disconnect()
     kept_s = int(PAGE_MEMORY.removesuffix("MB")) * 1e6 / path.stat().st_size * seconds
     assert kept_s > 10 * 60

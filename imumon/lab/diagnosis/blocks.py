@@ -14,7 +14,7 @@ from imumon.recordings.reduced import ACCEL
 
 from .runs import Columns, Names, Run, Runs
 
-BLOCK_S = 30.0  # assumed; in fact a multiple of six slots, so longer where these are not a second
+BLOCK_S = 30.0  # assumed; rounded up to a multiple of six slots, so 36 s where these have 2 s
 LEAST_BLOCKS = 40  # of a training: ten for each coefficient of a cubic
 # Pieces of a block whose differences show its white noise: 15 or more (assumed), where it has so many slots.
 # In three there are two differences, of which something is left less their mean.
