@@ -21,7 +21,7 @@ TRIAL = 16  # slots of a trial
 # Slots of a second: a choice for the shortest rest, for the longest pause between short runs, for the unquiet
 # slots from which on the noise is doubtful, and for the time between trials.
 SECOND_SLOTS = 4
-SHORT_RUNS = 2  # after so many rest takes `TRIAL`: a slow tilt is quiet for single seconds.  Ablation.
+SHORT_RUNS = 2  # after so many rest takes `TRIAL`.  Ablation: "rest after one second".
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)  # L, slots of the windows that are compared
 LENGTH_COLUMN = LENGTHS[:, None]  # L beside the six axes, (7, 1)
@@ -117,8 +117,7 @@ class QuietDetector:
         return step * np.maximum(by_noise, np.sqrt(np.maximum(0.25 - r, 0.0)) / 3.0)
 
     def rest_until_far(self, readings: FloatArray) -> BoolArray:
-        """Return which samples, (n, 6), of the open slot are at rest: one far from the mean ends rest,
-        and `update` then finds the slot unquiet."""
+        """Return which samples, (n, 6), of the open slot are at rest: one far from the mean ends rest."""
         tolerance = np.where(self.present, SPIKE_SIGMAS * np.sqrt(self.sample_noise + self.noise), np.inf)
         tolerance += SPIKE_QUIET_SDS * QUIET_SD + SPIKE_STEPS * self.step
         centre = self.mean[-SECOND_SLOTS:].sum(0) / SECOND_SLOTS
@@ -268,5 +267,5 @@ class QuietDetector:
         # louder than white samples make them, as of a noisy gyro at rest.
         loud = np.maximum(mean.var(0), noise).reshape(2, 3).mean(1) > LOUDEST_REST**2  # (sensor, axis)
         loud &= count.reshape(2, 3).max(1) >= LEAST_SAMPLES
-        loud[0] &= (noise * count >= WHITE * sample_noise)[GYRO].any()  # that of the gyros
+        loud[0] &= (noise * count >= WHITE * sample_noise + NO_NOISE)[GYRO].any()  # of a gyro, not absent
         return bool(coloured.any() or slow.any() or uneven.any() or loud.any())

@@ -47,6 +47,13 @@ def test_gyros_that_a_unit_lacks_leave_rest_and_bias_to_the_others(axes: str, ra
     assert error[-1] < 0.01 * DEG
 
 
+def test_gyros_as_loud_as_white_noise_find_their_rest_beside_one_that_the_unit_lacks() -> None:
+    t, gyro, accel = turned(0.0)
+    gyro += 0.3 * DEG * 5.0 * np.random.default_rng(1).standard_normal(gyro.shape)
+    at_rest = RestAndBias().process(without(block(t, gyro, accel), "z", slice(None)))["at_rest"]
+    assert (at_rest[t > 20.0] == 1).all()
+
+
 def test_a_turn_about_the_gyro_that_a_unit_lacks_widens_the_others_by_the_earth_rate() -> None:
     t, gyro, accel = turned(5.0)
     samples = without(block(t, gyro, accel), "z", slice(None))
