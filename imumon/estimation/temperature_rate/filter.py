@@ -26,15 +26,15 @@ TEMPERATURE, RATE, ACCELERATION, ERROR = range(STATES)
 START_ACCELERATION = UNSEEN_RATE / 300.0
 """Standard deviation of the acceleration at the start, °C/s²: the rate of a warm-up comes about in 5 min."""
 LONG_S = WALK_S = 900.0
-"""s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time.  And
-the variance that a walk of the reading gains in this time is never known (times `SLOW_MEAN`²).  Ablation."""
-SLOW_MEAN = 0.5  # so many sigmas of a slow error always stay in the standard deviation of T.  Ablation.
-LEAST_PROBABILITY = 1e-14  # least probability of a filter, so that none is lost for ever.  Ablation.
+"""s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time; what
+a walk of the reading gains in it, times `SLOW_MEAN`², is never known.  Ablation: "no walk in the output"."""
+SLOW_MEAN = 0.5  # sigmas of a slow error that stay in that of T.  Ablation: "mean of a slow error known".
+LEAST_PROBABILITY = 1e-14  # least probability of a filter, so that none is lost.  Ablation: the same row.
 JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
 """Power spectral densities q of white jerk, °C²/s⁵, (m,).  The rate gains √(q t³/3) in a time t: with the
 least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""
 CHANGE_PER_S, MOST_CHANGE = 2e-3, 0.4
-"""Probability per second that the jerk PSD changes to a neighbour's, half of it to each (ablation),
+"""Probability per second that the jerk PSD changes to a neighbour's, half of it to each (ablation: its rows),
 and the most between two slots (assumed)."""
 
 
@@ -47,7 +47,7 @@ class NoiseModels(NamedTuple):
     """
 
     white: FloatArray  # variance of the white noise, in that unit
-    slow: FloatArray  # variance of the slow error e; of mean models, what second differences show of it
+    slow: FloatArray  # variance of the slow error e; of mean models its share of ρ, see `slow_error`
     tau_s: FloatArray  # correlation time τ of e, s
     walk: FloatArray  # variance of the random walk that is part of 1/f noise, per s; of mean models, per slot
 

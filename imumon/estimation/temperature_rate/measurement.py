@@ -16,7 +16,7 @@ truncates T is half a step off.
 | one code | code models | nothing, probabilities hardly change; the code confines this slot's output alone |
 | any | mean models | (9) z = mean, R = white part of max(ρ, d²/12) + (d/n)²/2π |
 
-"y is in the code" is one statement, however often it is read.  At a soft edge each reading is evidence.
+A code that stays is one statement, but at a soft edge.  Mean models count it anew, and pay by the width of R.
 
 Log likelihoods are of probabilities of a slot's mean on its lattice of d/n, so that all rows can be compared.
 With R = (d/n)²/2π the density 1/√(2πR) times d/n is 1: no point of the lattice has a probability above it.
@@ -34,14 +34,14 @@ from .thermometer import Slot, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
 SOFT = 2.0
-"""An edge is soft for a filter whose prediction has a sigma below so many of the edge's.  Ablation."""
-SURPRISE = 0.02  # a code is a surprise for a filter that gave it less than this probability.  Ablation.
-WIDE = 1.5  # a prediction is wide whose sigma exceeds so many steps.  Ablation.
+"""An edge is soft for a filter that predicts y to so few of its sigmas.  Ablation: "no soft edges"."""
+SURPRISE = 0.02  # least probability of a code that is no surprise.  Ablation: "no code is a surprise".
+WIDE = 1.5  # steps of sigma of a wide prediction.  Ablation: "a code never replaces a wide prediction".
 SIGMA_ERROR = 0.1
-"""Relative standard deviation of the σ of a code model: half the distance of two models.  Ablation."""
+"""Relative error of the σ of a code model: half the distance of two.  Ablation: "σ of a model exact"."""
 MOST_RIPPLE = 0.4  # largest β by which a mean is corrected: the iteration converges while 2 β < 1
 RENEWAL = 0.1
-"""A code that stays counts this part of its log likelihood, times the part of e that is new.  Ablation."""
+"""A code that stays counts this part of its log likelihood, times the new part of e.  Ablation: first row."""
 
 
 def evaluate(thermometer: Thermometer, slot: Slot, filters: Filters) -> tuple[Correction, Correction]:
@@ -126,7 +126,7 @@ def _one_code(
     """Confine y to the code (8).
 
     All n readings are in it, so was the most extreme noise of n.  Its median is s Φ⁻¹(2^(-1/n)), by which the
-    edges move in; its variance about s²/(1 + 2 ln n) (extremes of normals), by which they are soft.
+    edges move in; they are soft by s²/(1 + 2 ln n), half of its variance: the whole fails at silent levels.
 
     `renewed` is the part of the slow error that is new: to that part, a code that stays is new evidence.
     Returns what enters the states, and all that the code shows.

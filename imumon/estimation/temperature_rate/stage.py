@@ -27,20 +27,20 @@ prediction; after so many slots it may be the truth.  Assumed: wide, as the filt
 POWER_ON_S = 60.0
 """For so long without a change, readings may be a value of power-on, s.  Assumed: sensors take seconds."""
 GAP_S = 600.0
-"""After so long without a reading, or of a dead sensor, there is no estimate, s.  Assumed: of a warm-up."""
+"""After so long without a reading, or of a dead sensor, nothing is known, s.  Assumed: of a warm-up."""
 LINEARITY, HYSTERESIS = 0.05, 0.5
 """Standard deviation of the place of an edge, steps: of a good converter; of one that may have hysteresis, as
-long as readings have not gone back.  Ablation."""
+long as readings have not gone back.  Ablation: "edges known from the start"."""
 RAMP_S = 75.0
-"""A rate is not known better than the temperature's sigma over so long, s: a ramp may begin.  Ablation."""
+"""The sigma of the rate is at least that of the temperature over this, s: a ramp may begin.  Ablation."""
 LAG_S = 3.0
-"""Time constant with which the rate in the output follows the estimate, s: it does not jump.  Ablation."""
+"""Time constant with which the rate in the output follows the estimate, s.  Ablation: "no output lag"."""
 
 STATISTICS = "count", "changes", "step_squares", "mean", "variance", "smallest", "largest", "first", "last"
 """Those of `Slots` that are the last fields of `Slot`, in their order."""
 Outcome = Literal["ignore", "use", "leap", "restart"]
 """A slot is ignored (nothing is learned of the thermometer) or is a measurement.  Or the filters begin anew
-with it, because a reading that was repeated has leapt, or with nothing known of what was before."""
+with it: after a leap the last reading and its time are kept, after a restart they are not."""
 
 
 class RateEstimate(NamedTuple):
@@ -124,7 +124,7 @@ class MultipleModelRate:
         if outcome == "restart":
             thermometer.begin()
             slot = slot.alone()
-            thermometer.leapt = False  # a leap that does not last was a glitch, and no repeat
+            thermometer.leapt &= self._filters is None  # a leap that does not last was a glitch
         if outcome in ("restart", "leap"):
             thermometer.means = ()
             thermometer.learn(slot)
@@ -225,7 +225,7 @@ def extrapolate(time_s: FloatArray, segment: IntArray, reading: FloatArray, show
     """
     age = time_s - shown.end_s
     known = (segment == shown.segment) & (age >= 0.0) & (age <= shown.late_s)
-    # A slot is known when the next begins; readings farther apart leave the temperature to the rate.
+    # Two slots of age are usual: a slot is known when the next begins.  Later only the rate carries on.
     waited = np.maximum(age - 2.0 * SLOT_S, 0.0)
     zero = 0.0 * reading  # NaN where there is no reading
     return RateEstimate(

@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 FASTEST_RATE = 20.0 / 60.0
-"""Fastest that a thermometer beside an IMU moves, °C/s: 20 °C/min, twice a fast chamber.  Also the standard
-deviation of a rate that is not known."""
+"""Fastest rate beside an IMU, °C/s: 20 °C/min, twice a fast chamber.  Also the sd of a rate not known."""
 UNSEEN_RATE = 200.0 / 3600.0
 """Rate at the start of a warm-up, °C/s: of a board that warms by 20 °C with a time constant of 6 min."""
 SLOT_S = 1.0  # samples are summarised over slots of this length, s

@@ -131,3 +131,17 @@ def test_a_noisy_thermometer_that_is_read_twice_a_minute_among_faster_rows(decla
     error = (found.temperature - 20.0)[1200:]
     assert np.sqrt(np.mean((error / found.temperature_sd[1200:]) ** 2)) < 1.8
     assert np.median(found.temperature_sd[1200:]) < 0.2
+
+
+def test_a_restart_of_the_device_keeps_that_readings_are_repeated() -> None:
+    """Repeats of a thermometer without noise, that only a leap had shown, were taken for new readings."""
+    t = np.arange(int(600.0 * RATE_HZ)) / RATE_HZ
+    slowly = 25.02 + 0.004 * t  # the step shows
+    reading = repeated(slowly + RAMP * np.maximum(t - 300.0, 0.0), 10.0, 0.0, 0)
+    time_ns, segment = clock(len(t), RATE_HZ)
+    method = MultipleModelRate()
+    method.process(time_ns, segment, reading)
+    assert method.thermometer.repeat_s == pytest.approx(10.0, rel=0.15)
+    again = int(30.0 * RATE_HZ)
+    method.process(time_ns[:again], segment[:again] + 1, reading[:again])
+    assert method.thermometer.repeat_s == pytest.approx(10.0, rel=0.15)
