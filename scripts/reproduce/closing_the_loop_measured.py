@@ -83,7 +83,7 @@ def _row(share: float, verdict: ChannelVerdict, found: dict[str, Any]) -> list[s
     """Return the row of a channel; rms in °/s."""
     names = [" or ".join(claim.finding.names) for claim in verdict.claims]
     text = "; ".join(names) or "nothing named"
-    text += ", proven by the test" if verdict.by_test else ""
+    text += ", chosen by the test" if verdict.by_test else ""
     if verdict.unexplained:
         text += ", remainder unexplained" if names else ", unexplained"
     text += "".join(f"; {item['name']} left out" for item in verdict.left_out)

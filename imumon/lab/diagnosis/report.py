@@ -271,8 +271,8 @@ def _steps(diagnosis: Diagnosis, folder: Path) -> Iterator[NextStep]:
     if not has_test or any(verdict.by_test for verdict in verdicts):
         yield NextStep(
             "Record another session from power-on and test on that.",
-            "The test has chosen the effect." if has_test else "Without a test nothing is proven.",
-            f"imumon diagnose {diagnosis.options} --test NEW --out {out}",
+            "The test has chosen: train on it, too." if has_test else "Without a test nothing is proven.",
+            f"imumon diagnose {diagnosis.options} {'--train TEST ' * has_test}--test NEW --out {out}",
         )
     if names := which(lambda verdict: verdict.shifted):
         what = (

@@ -36,7 +36,7 @@ VERDICTS = (
 # What is added to the sentence of what is claimed, where a predicate holds.
 BESIDE_CLAIMS = {
     "not_told_apart": ", not told apart",
-    "by_test": ", proven by the test alone, so this test is no independent proof",
+    "by_test": ", chosen by the test alone, so this test is no independent proof",
     "unexplained": ", and more that is unexplained",
     "hidden": "; too few digits to tell whether there is more",
 }

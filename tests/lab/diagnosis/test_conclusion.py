@@ -238,7 +238,7 @@ def test_what_is_not_told_apart_is_one_verdict_with_one_next_step(lagging: Diagn
     chosen = both._replace(finding=replace(both.finding, by_test=True))
     found = replace(lagging, verdicts=[replace(verdict, claims=[chosen])])
     assert "no independent proof" in conclusion(found)
-    assert "--test NEW" in next_step(found, tmp_path).command
+    assert "--train TEST --test NEW" in next_step(found, tmp_path).command
     alone = claim._replace(finding=replace(claim.finding, alternatives={}))
     found = replace(lagging, verdicts=[replace(verdict, claims=[alone])])
     assert conclusion(found) == "gyro_x: thermal_lag"

@@ -44,7 +44,7 @@ def test_a_loop_that_training_cannot_prove_is_proven_by_what_it_predicts(
     assert channel["questions"][-1][0]["name"] == "nothing"
     if names:
         assert verdict.claims[0].finding.by_test
-        assert "proven by the test alone, so this test is no independent proof" in verdict.summary
+        assert "chosen by the test alone, so this test is no independent proof" in verdict.summary
         (effect,) = channel["effects"]
         assert effect["evidence"]["proven_by"] == "test"
 
