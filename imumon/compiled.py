@@ -90,7 +90,7 @@ copyreg.pickle(np.record, _stored)
 def package_stamp(package: str) -> tuple[int, int]:
     """Return what changes with any source file of a package: newest change, ns, and their bytes."""
     spec = find_spec(package)
-    folders = (spec.submodule_search_locations if spec is not None else None) or ()
+    folders = (spec and spec.submodule_search_locations) or ()
     files = [path.stat() for folder in folders for path in Path(folder).rglob("*.py")]
     return max((one.st_mtime_ns for one in files), default=0), sum(one.st_size for one in files)
 

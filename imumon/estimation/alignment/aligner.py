@@ -46,7 +46,7 @@ FIRST_FIT_S, LONGEST_REFIT_S = 10.0, 60.0
 fitted anew when its time at rest has grown by a third, which lowers sigma by an eighth."""
 FORGET_S = 60.0  # a longer record loses its first half while no fit is possible, as where the unit creeps
 RECENT_SHARE = 0.5
-"""Sigma is at least the distance to headings fitted in this last part of the time at rest.  Ablation."""
+"""Sigma is at least the distance to headings fitted in this last part of the rest.  Ablation: last row."""
 
 
 class Aligner:

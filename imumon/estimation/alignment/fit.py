@@ -48,7 +48,7 @@ TILT_SD, P_TILTS = (1e-5, 1e-4, 1e-3), 0.3
 """Standard deviation of the amplitudes of a unit that tilts, rad, and the prior probability that it does.
 With 0.03 a slow tilt passes for a bias, 9 sigma off."""
 TILTS = np.vstack([sd * sum(np.eye(6, 8, k) for k in range(3)) for sd in TILT_SD])
-"""Standard deviation of each amplitude, rad, (18, 8): three neighbouring exponentials, alike.  Ablation."""
+"""Standard deviation of each amplitude, rad, (18, 8), three neighbours alike.  Ablation: "settling"."""
 WALK = 1e-7  # random walk of a warmed-up accelerometer, g/√s; assumed
 
 

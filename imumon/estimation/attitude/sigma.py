@@ -27,19 +27,19 @@ from .fusion import TAU_ACC_S, TAU_MAG_S
 
 SLOT_S = 0.5  # length of a slot, s: short beside τ
 LAG_S = 2.0 * TAU_ACC_S
-"""Lag of d, s, after which VQF's low-pass has forgotten; m is forgotten within three lags.  Ablation."""
+"""Lag of d, s, after which VQF's low-pass has forgotten; m within three lags.  Ablation: "lag 12 s"."""
 ACCEL_SD = 0.075
 """a0 of accelerometers that are not declared, m/s²: 7.6 mg, between 5 and 10 mg of a calibrated unit."""
 SCALE_SD = 0.02  # s0 of gyros that are not declared: between 1 % of a calibrated unit and 3 % of an MPU-6050
-SCALE_TURN = 2.0  # w0, rad²: s0 counts like so much turn.  Ablation.
+SCALE_TURN = 2.0  # w0, rad²: s0 counts like so much turn.  Ablation: "w0 8 rad²".
 CONFIRMING_TURN = 0.1
-"""rad² of tilt by turns about the gyros' own axes that confirm all three, by any of them.  Each turn counts
-half: a quick tilt of 18° that is held for 3 s and taken back is enough, or one of 26° alone.  Ablation."""
-LARGEST_CHANGE = 0.05  # share of these rad² that the sum of d may have.  Ablation.
+"""rad² of tilt by turns about the gyros' own axes that confirm all, as mixed-up axes show in any.  It counts
+half: a tilt of 18°, held 3 s and taken back, is enough, or 26° alone.  Ablation: "confirmed at 1 rad²"."""
+LARGEST_CHANGE = 0.05  # share of these rad² that the sum of d may have.  Ablation: "largest change 1 %".
 IRON = 0.025
 """k_iron, share of the field.  A prior, as `ACCEL_SD`: a single pose shows one of three components."""
 IRON_MEMORY_S = 30.0
-"""Time in which iron that has shown is forgotten, s: it may have been a magnet in the room.  Ablation."""
+"""Time in which iron is forgotten, s: it may have been in the room.  Ablation: "iron forgotten in 300 s"."""
 
 
 class Slot(NamedTuple):
@@ -136,9 +136,9 @@ class TiltSigma:
         self.late = np.zeros((3, 9))  # q_ij that are forgotten within τ, rad
 
     def step(self, slot: Slot) -> float:
-        """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
+        """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g² (T3), rad².
 
-        d/2, as u was right where a motion begins: all its change is error.  NaN in the first 6 s.
+        Each shows the same error; d/2, as u was right where a motion begins.  NaN in the first 6 s.
         """
         self.lag.append((slot.up, slot.wrong_turns))
         change = float(((slot.up - self.lag[0][0]) ** 2).sum())
@@ -182,7 +182,7 @@ class HeadingSigma:
         known = not math.isnan(slot.bias_sd)
         if not known:
             self.about_up, self.earlier, self.drift, self.by_earth = np.zeros(9), 0.0, 0.0, 0.0
-        elif slot.rest:  # what it takes off sigma was an error that is gone; what that has turned stays
+        elif slot.rest:  # a part of its past error the bias has still, the other is independent of that
             same = min(slot.bias_sd / self.bias_sd, 1.0) if self.bias_sd > 0.0 else 1.0
             self.earlier += (1.0 - same**2) * self.drift**2
             self.drift *= same
@@ -221,7 +221,7 @@ class HeadingSigma:
             return math.nan
         prior = magnetometer.error_sd**2 + (IRON * magnetometer.field) ** 2 + vertical**2 * tilt_variance
         along2 = (strength - magnetometer.field) ** 2  # (H3)
-        across2 = horizontal2 * (self.field_correction**2 - relative) - prior  # (H4)
+        across2 = horizontal2 * (self.field_correction**2 - relative) - prior  # (H4): beyond what is expected
         self.iron *= math.exp(-SLOT_S / IRON_MEMORY_S)
         if math.isfinite(across2):
             self.iron = max(self.iron, along2 + max(across2, 0.0))

@@ -98,8 +98,7 @@ class Estimator:
     def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
         """Widen the bias by a gap; a `long` one ends rest.
 
-        Behind it the temperatures are `degc`, °C, (3,), NaN where not known; the lag of the gyros behind them
-        may have changed by `lag_degc` (sd).
+        Behind it: temperatures, °C, (3,), NaN where not known, and sd of how the gyros' lag has changed.
         """
         self.motion.interrupt(0.0)
         unseen = long and not self.parameters.assume_at_rest  # given rest does not turn

@@ -2,6 +2,12 @@
 
 At rest the specific force shows where up is.  While the unit moves, the gyros follow the attitude sample by
 sample (`imumon.filters.turns`): that keeps north, or bounds how the earth rate in the bias has turned.
+
+Known at a rest          Subtracted           In sigma
+up, latitude, heading    all earth rate       the error of its level part by that of north
+up, latitude             its vertical part    how turns since the rest before moved what is in the bias
+up                       nothing              the same
+not up (`pose_unknown`)  nothing any more     all of it, if the latitude is known
 """
 
 import math
@@ -75,7 +81,7 @@ class Attitude:
         if size > 0.0:
             added = self._take_pose(force / size, prediction)
         elif turned if self.up.any() else self.latitude is not None:
-            # Of this pose, another one or the first, nothing is known: all earth rate is part of the bias.
+            # Of this pose, another one or the first, nothing is known.
             self.up = self.north = self.earth = np.zeros(3)
             self.pose_unknown = self.latitude is not None
             added = np.full(3, ANY_TURN_VARIANCE)

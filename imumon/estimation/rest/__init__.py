@@ -16,5 +16,5 @@ Of `imumon.estimation.gyro_bias` read `hypotheses` (tables: what a measurement d
   turns against the earth; of flicker of samples; of the unknown earth rate; of a turn that may hide in the
   first rest; and of the difference to the less likely hypothesis, with the error by rounding (`stage`).
 - What would another gyro need?  White noise is learned, flicker only among `FLICKER_CORNERS_S` (bank); else
-  declare flicker B and random walk K.  "Assumed.": plausible, not measured.  "Ablation.": measured.
+  declare B and K; a far better one: QUIET_SD, SLOWEST_TURN, SENSITIVITY_SD, too.  "Ablation": docs/appendix.
 """

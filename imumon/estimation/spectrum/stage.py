@@ -1,8 +1,7 @@
 """Live spectra of the gyros and accelerometers as a stage of the pipeline: no columns, but charts.
 
 Welch, The use of fast Fourier transform for the estimation of power spectra, IEEE Trans. Audio
-Electroacoust. 15 (1967): eq 1-4 with half-overlapping Hann windows.  NumPy alone: scipy.signal takes 0.7 s to
-import, in the middle of a measurement.
+Electroacoust. 15 (1967): eq 1-4 with half-overlapping Hann windows.  scipy.signal takes 0.7 s to import.
 """
 
 import math

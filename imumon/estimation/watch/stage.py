@@ -153,8 +153,7 @@ class ModelWatch:
 
     They should be white, standard normal, and have nothing to do with temperature, its rate or the time.  A
     suspicion stays until the device restarts: a model that has failed does not get better when the
-    temperature comes to rest.  What is tested for, and how often in vain, is in
-    docs/appendix/closing-the-loop-details.md.
+    temperature comes to rest.  How often in vain: docs/appendix/closing-the-loop-details.md.
 
     Parameters
     ----------
