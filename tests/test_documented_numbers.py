@@ -132,10 +132,15 @@ def test_number_of_simulated_cases() -> None:
     assert numbers_in("appendix/README.md", r"(\d+) simulated cases") == cases
     assert numbers_in("closing-the-loop.md", r"are of all (\d+) cases") == cases
     results = tables("appendix/closing-the-loop-results.md")
-    rows = [row for table in results for row in table if row[1] == "0.5"]
-    right = [sum(map(float, column)) for column in zip(*(numbers([row[2]])[:2] for row in rows), strict=True)]
+
+    def right(floors: str) -> list[float]:
+        rows = [row for table in results for row in table if row[1] == floors]
+        return [sum(map(float, each)) for each in zip(*(numbers([row[2]])[:2] for row in rows), strict=True)]
+
     for page in ("closing-the-loop.md", "appendix/closing-the-loop-measured.md"):
-        assert numbers_in(page, r"half a floor\S* (\d+) of (\d+) are named right") == right
+        assert numbers_in(page, r"half a floor\S* (\d+) of (\d+) are named right") == right("0.5")
+    small = numbers_in("closing-the-loop.md", r"of two floors (\d+) of (\d+), of one floor (\d+) of (\d+)")
+    assert small == [*right("2"), *right("1")]
 
 
 def test_worst_seeds_of_the_bias_race() -> None:
