@@ -89,7 +89,6 @@ class Alignment:
         names = [f"{name}_{axis}" for name in ("gyro", "accel", "mag") for axis in "xyz"]
         values = block.stacked([*names, "at_rest"])
         values[:, 9] = values[:, 9] != 0.0  # or unknown
-        values[~np.isfinite(values[:, :6].sum(axis=1)), :6] = np.nan
         slots = self._slots.process(block["device_time_ns"], block["segment"], values)
         before, rows = np.array(self._row), np.empty((len(slots), len(self._row)))
         for k in range(len(slots)):
@@ -105,7 +104,7 @@ class Alignment:
         return {column.name: values for column, values in zip(self.columns, out, strict=True)}
 
     def _process_slot(self, slots: Slots, k: int) -> None:
-        """Advance the aligner by slot k, unless it has no whole sample of gyros and accelerometers."""
+        """Advance the aligner by slot k, unless a gyro or an accelerometer has no value in it."""
         if slots.begins[k]:
             self._restart(f"the device started anew (segment {slots.segment[k]})")
             self._run += 1

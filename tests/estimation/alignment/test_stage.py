@@ -23,6 +23,7 @@ from tests.estimation.alignment.units import (
 )
 from tests.lanes import texts
 
+TURN = {"kind": "turn", "at_s": 80.0, "duration_s": 6.0, "heading_deg": 180.0}
 KNOCK = {"kind": "bump", "frequency_hz": 25.0, "decay_s": 0.3, "acceleration_m_per_s2": [0.3, 0.2, 0.1]}
 
 
@@ -376,3 +377,15 @@ def test_a_latitude_that_is_wrong_by_a_degree_is_in_the_sigma(
     stage, _ = aligned(samples(plan), {"accel_bias_sd_ug": 30.0} | declared, latitude)
     assert math.degrees(stage.status.shown.sd) > 1.0
     assert any("contradict the declared bias" in notice for notice in stage.notices()) == bool(declared)
+
+
+@pytest.mark.parametrize("gyro_every", [1, 2])
+def test_gyros_and_accelerometers_in_rows_of_their_own_are_aligned(gyro_every: int) -> None:
+    """They were dropped, and the turn of a sensor that is faster than the other lost rows."""
+    block = samples(scenario(180.0, rate_hz=100.0, motion=[TURN]), seed=3)
+    row = np.arange(len(block))
+    for axis in "xyz":
+        block[f"accel_{axis}"][row % 2 == 0] = np.nan
+        block[f"gyro_{axis}"][row % gyro_every == 1] = np.nan
+    _, found = aligned(block)
+    assert abs(error_deg(found["heading"][-1], 210.0)) < 4.0 * np.degrees(found["heading_sd"][-1]) < 0.5
