@@ -136,7 +136,7 @@ class TiltSigma:
         self.late = np.zeros((3, 9))  # q_ij that are forgotten within τ, rad
 
     def step(self, slot: Slot) -> float:
-        """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g² (T3), rad².
+        """Take a slot; return the variance at its end, max(m, d/2, l) + a²/g², rad².
 
         Each shows the same error; d/2, as u was right where a motion begins.  NaN in the first 6 s.
         """
@@ -207,7 +207,7 @@ class HeadingSigma:
         return self.by_field + relative if slot.end["north"] else relative
 
     def _magnetic(self, slot: Slot, tilt_variance: float, relative: float) -> float:
-        """Return (e_cal² + e_iron² + B_v² θ²) / B_h² (H2), NaN without a calibration.
+        """Return (H2) less v: (e_cal² + e_iron² + B_v² θ²) / B_h²; NaN without a calibration.
 
         θ² is the variance of the tilt, and `relative` is v.  e_cal is the error of the calibration, and
         e_iron the iron that came after it (H5), with a margin of 2 for what a pose does not show.

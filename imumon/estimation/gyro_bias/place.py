@@ -3,10 +3,10 @@
 At rest the specific force shows where up is.  While the unit moves, the gyros follow the attitude sample by
 sample (`imumon.filters.turns`): that keeps north, or bounds how the earth rate in the bias has turned.
 
-Known at a rest          Subtracted           In sigma
+Known at a rest          Subtracted           In sigma, beside what the filters have
 up, latitude, heading    all earth rate       the error of its level part by that of north
-up, latitude             its vertical part    how turns since the rest before moved what is in the bias
-up                       nothing              the same
+up, latitude             its vertical part    how turns since the rest before moved what is in the bias,
+up                       nothing              which is taken for bias, as it is for one pose
 not up (`pose_unknown`)  nothing any more     all of it, if the latitude is known
 """
 
@@ -52,8 +52,8 @@ class Attitude:
         return self._level_variance(self.heading_variance) + self._turned_earth()
 
     def _level_variance(self, heading_variance: float) -> FloatArray:
-        """Return the variance of the level earth rate by that of the heading, rad², (3,)."""
-        level = EARTH_RATE * (1.0 if self.latitude is None else math.cos(self.latitude))
+        """Return the variance of the level earth rate, (rad/s)², (3,), by that of the heading, rad²."""
+        level = EARTH_RATE * math.cos(self.latitude or 0.0)  # without a latitude no heading is known
         return level**2 * heading_variance * (1.0 - self.up**2)  # east² ≤ 1 - up²: the error is eastward
 
     def _turned_earth(self) -> FloatArray:

@@ -24,7 +24,7 @@ MOST_REPEAT_S = 60.0  # longest time that a reading is taken to be repeated, s
 class Slot:
     """The readings of one slot; values are in °C, times in s.
 
-    Without any reading, `count` and `changes` are zero and values NaN.
+    Without any reading, `count` and `changes` are zero and values NaN.  The first of a segment is no change.
     """
 
     time_s: float  # middle of the slot, which its mean refers to
