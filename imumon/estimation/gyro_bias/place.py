@@ -7,7 +7,7 @@ Known at a rest          Subtracted           In sigma, beside what the filters 
 up, latitude, heading    all earth rate       the error of its level part by that of north
 up, latitude             its vertical part    how turns since the rest before moved what is in the bias,
 up                       nothing              which is taken for bias, as it is for one pose
-not up (`pose_unknown`)  nothing any more     all of it, if the latitude is known
+latitude, but not up     nothing any more     all of it, as it is in the bias (`pose_unknown`)
 """
 
 import math
