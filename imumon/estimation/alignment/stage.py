@@ -32,7 +32,8 @@ class Alignment:
     vertical, that of -z.  Roll and pitch are ZYX angles to the horizontal of the body's `axes`; None is
     whichever of FRD and FLU stands upright at the beginning.
 
-    Where the device has roll and pitch, `sent` or in its first samples, these are aligned_roll and _pitch.
+    Of a device with roll and pitch of its own, among the columns `sent` or in its first samples, the stage's
+    are called aligned_roll and aligned_pitch.
     """
 
     def __init__(

@@ -182,7 +182,7 @@ class HeadingSigma:
         known = not math.isnan(slot.bias_sd)
         if not known:
             self.about_up, self.earlier, self.drift, self.by_earth = np.zeros(9), 0.0, 0.0, 0.0
-        elif slot.rest:  # a part of its past error the bias has still, the other is independent of that
+        elif slot.rest:  # the bias has a part of its past error still; the other part is independent of it
             same = min(slot.bias_sd / self.bias_sd, 1.0) if self.bias_sd > 0.0 else 1.0
             self.earlier += (1.0 - same**2) * self.drift**2
             self.drift *= same

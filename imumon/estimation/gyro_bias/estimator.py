@@ -98,7 +98,7 @@ class Estimator:
     def bridge_gap(self, degc: FloatArray, lag_degc: FloatArray, long: bool) -> None:
         """Widen the bias by a gap; a `long` one ends rest.
 
-        Behind it: temperatures, °C, (3,), NaN where not known, and sd of how the gyros' lag has changed.
+        Behind it `degc`, °C, (3,), is NaN where not known, and the lag has changed by `lag_degc`, °C (sd).
         """
         self.motion.interrupt(0.0)
         unseen = long and not self.parameters.assume_at_rest  # given rest does not turn

@@ -21,7 +21,7 @@ TRIAL = 16  # slots of a trial
 # Slots of a second: a choice for the shortest rest, for the longest pause between short runs, for the unquiet
 # slots from which on the noise is doubtful, and for the time between trials.
 SECOND_SLOTS = 4
-SHORT_RUNS = 2  # after so many rest takes `TRIAL`.  Ablation: "rest after one second".
+SHORT_RUNS = 2  # after so many rest takes `TRIAL`: a slow tilt is quiet for single seconds.  Ablation.
 QUIET_TOO_SHORT, FAR_SAMPLE = "quiet for too short a time", "a single sample is far from the mean"
 LENGTHS = 2 ** np.arange(7)  # L, slots of the windows that are compared
 LENGTH_COLUMN = LENGTHS[:, None]  # L beside the six axes, (7, 1)

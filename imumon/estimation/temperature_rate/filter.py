@@ -29,7 +29,7 @@ LONG_S = WALK_S = 900.0
 """s.  The variance of the acceleration at the start is at most what the jerk makes of it in this time; what
 a walk of the reading gains in it, times `SLOW_MEAN`², is never known.  Ablation: "no walk in the output"."""
 SLOW_MEAN = 0.5  # sigmas of a slow error that stay in that of T.  Ablation: "mean of a slow error known".
-LEAST_PROBABILITY = 1e-14  # least probability of a filter, so that none is lost.  Ablation: the same row.
+LEAST_PROBABILITY = 1e-14  # least probability of a filter, so that none is lost for ever.  Ablation.
 JERK_PSDS = 10.0 ** (-23.0 + 2.5 * np.arange(9.0))
 """Power spectral densities q of white jerk, °C²/s⁵, (m,).  The rate gains √(q t³/3) in a time t: with the
 least, 0.17 °C/h in a day; with the largest, 1 °C/min in a second."""

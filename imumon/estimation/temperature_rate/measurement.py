@@ -34,9 +34,9 @@ from .thermometer import Slot, Thermometer
 
 ROOT_2_PI = math.sqrt(2.0 * math.pi)
 SOFT = 2.0
-"""An edge is soft for a filter that predicts y to so few of its sigmas.  Ablation: "no soft edges"."""
+"""An edge is soft for a prediction with a sigma below so many of the edge's.  Ablation: "no soft edges"."""
 SURPRISE = 0.02  # least probability of a code that is no surprise.  Ablation: "no code is a surprise".
-WIDE = 1.5  # steps of sigma of a wide prediction.  Ablation: "a code never replaces a wide prediction".
+WIDE = 1.5  # steps of sigma beyond which a prediction is wide.  Ablation: "wide beyond 3 steps".
 SIGMA_ERROR = 0.1
 """Relative error of the σ of a code model: half the distance of two.  Ablation: "σ of a model exact"."""
 MOST_RIPPLE = 0.4  # largest β by which a mean is corrected: the iteration converges while 2 β < 1
